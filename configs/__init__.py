@@ -1,1 +1,1 @@
-"""The shipped configurations: data only, a package so that an installed wheel finds them."""
+"""Shipped configurations, as data; a package so that an installed wheel finds them."""

@@ -1,4 +1,4 @@
-"""Lengths, Jacobian and pose; the code is in `hil.robot.kinematics`."""
+"""Leg lengths, Jacobian, and the pose from leg lengths; the code is in `hil.robot.kinematics`."""
 
 from hil.robot.kinematics import (
     KinematicsError,

@@ -1,4 +1,4 @@
-"""Input and output of one tick; the values between them are in the record of `drivers.tick_columns`."""
+"""Input and output of one control tick; values between them are in the record of `drivers.tick_columns`."""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from drivers.signals import LEGS, BusState, Refusal
 
 
 class Operator(IntEnum):
-    """Operator commands, an input of the cycle like any other."""
+    """Commands of the operator to the control cycle, recorded in the log like every other input."""
 
     ENGAGE = 1
     STOP = 2
@@ -18,19 +18,19 @@ class Operator(IntEnum):
     SETPOINT = 5
     """Go to a pose. In logs only; TickInput has the poses as `setpoints`."""
     RELEASE = 6
-    """Remove the force from a platform whose brakes are not proven."""
+    """Remove the leg forces although the brakes have not passed their test."""
     START = 7
-    """Continue along the path."""
+    """Move on along the configured path."""
     HOLD = 8
-    """Slow down along the path to rest, and stay there."""
+    """Slow down along the path to rest, and hold that pose."""
     SPEED = 9
     """Set the speed along the path: 0 .. 1 of the configured speed."""
     PARK = 10
     """Go back to the reference's first pose at set-up speed, and park."""
     KEY = 11
-    """The operator's key is held down."""
+    """The operator holds down the key that enables motion."""
     END = 12
-    """End a run with `operator.stays`; no effect in the cycle."""
+    """End a run that `operator.stays` keeps open; the control cycle ignores it."""
     JOG = 13
     """Move along one axis or leg from hold: index in JOG_NAMES, and speed -1 .. 1 of the set-up speed."""
 
@@ -44,7 +44,7 @@ NUMBERS = {
     Operator.KEY: 0,
     Operator.JOG: 2,
 }
-"""Motion commands, and the count of numbers of each."""
+"""Motion command -> count of its numbers."""
 ORDERS = frozenset(NUMBERS) - {Operator.SETPOINT}
 """Motion commands that TickInput has as `orders`."""
 
@@ -54,7 +54,7 @@ JOG_NAMES = ("x", "y", "z", "rx", "ry", "rz", "leg0", "leg1", "leg2", "leg3", "l
 
 
 class Order(NamedTuple):
-    """A motion command with its numbers."""
+    """A motion command of the operator with its numbers (a speed, a jog axis)."""
 
     command: Operator
     """One of ORDERS."""
@@ -85,7 +85,7 @@ ON_THE_WAY = "stopped on the way: farther on, "
 
 
 def explain(refusal: int) -> str:
-    """Reason why a set-point was refused; empty for an accepted one."""
+    """Text of all reasons in the bits of `refusal` why a set-point was refused; empty if it was accepted."""
     reasons = [text for bit, text in REASONS.items() if refusal & bit]
     return (ON_THE_WAY if refusal & Refusal.ON_THE_WAY else "") + "; ".join(reasons)
 
@@ -114,7 +114,7 @@ class TickInput(NamedTuple):
     bus_errors: int = 0
     """Error frames since the last tick."""
     bus_off: int = 0
-    """Bit i: bus i is off."""
+    """Bit i is 1 while CAN bus i is in the state bus-off."""
     bus_overflow: int = 0
     """Receive overflows since the last tick."""
     bus_state: BusState = BusState.UNKNOWN
@@ -135,9 +135,9 @@ class TickInput(NamedTuple):
 
 
 class TickOutput(NamedTuple):
-    """Frames to send and the row to record."""
+    """Result of one control tick: the frames to send and the row to record."""
 
     frames: Rows
-    """Elements of FRAME."""
+    """(n,) of FRAME."""
     row: Rows
-    """One element of ROW."""
+    """One element of ROW, the values of the tick for the log."""

@@ -27,12 +27,12 @@ class BootstrapError(Exception):
 
 
 def say(text: str) -> None:
-    """Print one progress line."""
+    """Print one line of progress."""
     print(f"[setup] {text}", flush=True)
 
 
 def system_compiler() -> str | None:
-    """Find the C compiler for the FMU; None if there is none."""
+    """Path of the C compiler that can build the FMU, from $CC or `cc`; None without a compiler."""
     wanted = os.environ.get("CC", "").split()
     return shutil.which(wanted[0]) if wanted else shutil.which("cc")
 
@@ -43,12 +43,12 @@ def lock_files() -> list[Path]:
 
 
 def interpreter() -> str:
-    """Line of the stamp about the Python interpreter."""
+    """Line of the stamp file `.venv/.ready` that identifies the Python interpreter."""
     return f"python {sys.version.split()[0]} of {sys.base_prefix}\n"
 
 
 def content(locks: list[Path]) -> str:
-    """Lines of the stamp about the dependencies and the folder of the environment."""
+    """Lines of the stamp file that identify the folder of the environment and the locked dependencies."""
     digest = hashlib.sha256()
     for path in locks:
         digest.update(path.read_bytes())
@@ -56,12 +56,12 @@ def content(locks: list[Path]) -> str:
 
 
 def project() -> str:
-    """Line of the stamp about the installed project: a hash of its metadata, entry points included."""
+    """Line of the stamp file that identifies the installed project: a hash of `pyproject.toml`."""
     return f"project {hashlib.sha256((ROOT / 'pyproject.toml').read_bytes()).hexdigest()}\n"
 
 
 def wanted_start(stamped: str, locks: list[Path]) -> str:
-    """How the stamp has to start; the interpreter may differ unless $PYTHON selects one."""
+    """Beginning that the stamp must have; the interpreter may differ unless $PYTHON selects one."""
     made_with = stamped[: stamped.find("\n") + 1]
     return (interpreter() if os.environ.get("PYTHON") or not made_with else made_with) + content(locks)
 
@@ -87,7 +87,7 @@ def run(arguments: list[str], failure: str) -> None:
 
 
 def pip_of_environment() -> list[str]:
-    """Find the pip command for the environment: its own pip, or else one outside of it (pip 22.3).
+    """Command of a pip that installs into the environment: its own, else one outside (pip 22.3).
 
     Debian has `venv` without `ensurepip` unless python3-venv is installed.
     """
@@ -146,7 +146,7 @@ def install_project(pip: list[str]) -> None:
 
 
 def make(locks: list[Path], stamped: str) -> None:
-    """Update the environment from the state in the stamp to the required one; write the stamp last."""
+    """Create or update `.venv`, starting from the state in `stamped`; write the stamp file last."""
     if VENV.is_symlink() or (VENV.exists() and not VENV.is_dir()):
         raise BootstrapError(f"{VENV} is not a folder; move it away.")
     wanted = wanted_start(stamped, locks)

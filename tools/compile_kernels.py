@@ -1,4 +1,4 @@
-"""Compiles every kernel into the cache, so that parallel test processes need not compile the same ones."""
+"""Compile every Numba kernel into the cache, so that parallel test processes find them compiled."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ PACKAGES = "drivers", "plant_fmu", "hil"
 
 
 def modules() -> list[str]:
-    """List the names of all modules of the project; importing a module compiles its kernels."""
+    """Names of all modules of the project; importing a module compiles its kernels."""
     return [
         module.name
         for package in PACKAGES

@@ -62,7 +62,7 @@ NO_LOSS = {"efficiency": 1.0, "back_driving_efficiency": 1.0}
 
 
 def merged(*changes: Changes) -> dict[str, Any]:
-    """Merge several changes, section by section."""
+    """Merge several configuration changes, section by section; later changes win."""
     whole: dict[str, Any] = {}
     for change in changes:
         for key, value in change.items():
@@ -82,7 +82,7 @@ def simulated(changes: Changes) -> dict[str, Any]:
 
 
 def errors(summary: Mapping[str, Any], per_mm: float = 1.0, digits: int = 3) -> str:
-    """Text of rms and peak leg error, or of the fault that ended the run."""
+    """Text of rms and peak leg error in mm times `per_mm`, or of the fault that ended the run."""
     if not summary["success"]:
         return str(summary["trouble"]).split(" (")[0]
     tracking = summary["tracking"]
@@ -92,7 +92,7 @@ def errors(summary: Mapping[str, Any], per_mm: float = 1.0, digits: int = 3) -> 
 
 
 def desktop(*families: str) -> None:
-    """Print the table of all families, or of some."""
+    """Print the table of leg errors for all drive families, or for the given ones."""
     print("| family | rate, Hz | bus, % | shipped, mm | no friction, um | nor losses, um |")
     print("|---|---|---|---|---|---|")
     smooth = {"plant": {"model": NO_FRICTION}}

@@ -33,7 +33,7 @@ from tools.benchmarks.live import live_run
 from tools.benchmarks.tick import steps
 
 LEAD_S = 2.0
-"""Time from the start of a shift to its wrap, which is then crossed in motion."""
+"""Time, s, from the start of a shift to the overflow of a counter, which then happens in motion."""
 SETTLED = 0.25
 """Share of a shift after which memory counts: tables and caches are full by then."""
 GROWTH = Mark(1.0)
@@ -55,12 +55,12 @@ def wraps(rate_Hz: float) -> dict[str, int]:
 
 
 class Shift(NamedTuple):
-    """Result of one run."""
+    """Result of one shift, a simulated and replayed run."""
 
     first: int
     ticks: int
     crossed: list[str]
-    """Names of the wraps within the run."""
+    """Names of the counters that overflowed during the run."""
     wall_s: float
     trouble: str
     different: int
@@ -72,7 +72,7 @@ class Shift(NamedTuple):
 
 
 def first_ticks(rate_Hz: float) -> Iterator[int]:
-    """Yield the first ticks of shifts: 0, then one shortly before each wrap, and so on again."""
+    """Yield the first ticks of shifts, endlessly: 0, then one shortly before each counter's overflow."""
     lead = round(LEAD_S * rate_Hz)
     while True:
         yield 0
@@ -80,7 +80,7 @@ def first_ticks(rate_Hz: float) -> Iterator[int]:
 
 
 def _controller(c: Configuration, first: int) -> Cycle:
-    """Build a controller in its initial state whose first tick is `first`."""
+    """New controller in its initial state, whose first tick has the number `first`."""
     cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
     cycle.reset()
     cycle.mode_tick = first
@@ -88,7 +88,7 @@ def _controller(c: Configuration, first: int) -> Cycle:
 
 
 def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
-    """Simulate, record and replay `seconds` from tick `first` on; without trouble delete the log."""
+    """Simulate, record and replay `seconds` from tick `first` on; delete the log if all is correct."""
     rate_Hz = c.loop.rate_Hz
     until = first + round(seconds * rate_Hz)
     looks = first + round(SETTLED * (until - first)), until - 1
@@ -131,7 +131,7 @@ def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
 
 
 def _chunks(path: Path) -> int:
-    """Count the chunks of a log by its index."""
+    """Number of chunks in a log, by its index."""
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
     return len(summary.chunk_indexes) if summary else 0
@@ -147,7 +147,7 @@ def differences(c: Configuration, first: int, path: Path) -> int:
 
 
 def figures(shifts: list[Shift], rate_Hz: float) -> list[Figure]:
-    """Compute the figures of all shifts, with their marks."""
+    """Results over all shifts, each with its limit (mark)."""
     ticks, wall_s = sum(s.ticks for s in shifts), sum(s.wall_s for s in shifts)
     trouble = [s.trouble for s in shifts if s.trouble]
     crossed = {name: sum(name in s.crossed for s in shifts) for name in wraps(rate_Hz)}
@@ -170,7 +170,7 @@ def figures(shifts: list[Shift], rate_Hz: float) -> list[Figure]:
 
 
 def real(c: Configuration, minutes: float, folder: Path) -> list[Figure]:
-    """Run the daemon with its plant in real time. Raises RunError if it leaves no summary."""
+    """Run the daemon with its plant in real time, and return results. Raises RunError without a summary."""
     summary, seen = live_run(c, 60.0 * minutes, folder)
     settled = seen[int(SETTLED * (len(seen) - 1)) :]
     ends = {"success": summary["success"], "exact replay": summary.get("replay", {}).get("agrees")}
@@ -199,7 +199,7 @@ def main(
 ) -> None:
     """Run for a long time, and print the effects on memory, open files, counters and replay.
 
-    Exit code 1 if a mark is missed.
+    Exit code 1 if a result misses its limit, called mark.
     """
     folder.mkdir(parents=True, exist_ok=True)
     c = patient(configuration, folder, 60.0 * max(shift_minutes, real_minutes or 0.0))

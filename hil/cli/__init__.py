@@ -30,23 +30,23 @@ gc.set_threshold(100_000, 20, 20)
 COMMANDS = {
     "run": "The controller, in real time.",
     "plant": "Six emulated drives and the platform, in real time.",
-    "sim": "Both ends in lockstep, in simulated time.",
+    "sim": "Controller, bus, drives and platform, in simulated time.",
     "replay": "Replay a log's inputs and compare all outputs to the bit.",
-    "check": "Figures and problems of a configuration; nothing moves.",
+    "check": "Figures, warnings and errors of a configuration; nothing moves.",
     "new": "A configuration of your robot from a few figures.",
-    "bringup": "From parts to a moving platform, one leg at a time; also as a rehearsal.",
+    "bringup": "Commission a machine, from parts to motion, one leg at a time; also as a rehearsal.",
     "watch": "Live page about a run, in any browser.",
     "export": "A log's frames and columns as files for other tools.",
     "report": "One HTML page about a log: faults and their causes, margins to all limits.",
     "plot": "Columns of logs over time, as PNG or SVG.",
     "view": "A log in Rerun, Foxglove, Lichtblick or PlotJuggler.",
-    "faults": "Inject each kind of fault at each moment of a run; with verdicts.",
-    "campaign": "Many runs with swept keys: failure rate, and where it fails.",
+    "faults": "Inject each kind of fault at each moment of a run, and judge the reaction.",
+    "campaign": "Run a configuration many times with swept keys; count and locate the failures.",
     "stability": "Stability proof of the control law, with error bounds; nothing moves.",
     "prove": "Prove the stability of your own system by a Lyapunov function.",
     "ctl": "Operator commands to a running controller: hold, start, park, key ...",
     "setpoint": "Send set-points to a running controller with a live reference.",
-    "homing": "Parked leg lengths, for motors that lose their turn count at power-off.",
+    "homing": "Show or set parked leg lengths, for motors that lose their turn count at power-off.",
     "workspace": "Map of the reachable poses, with a picture; nothing moves.",
     "compare": "Compare all control laws on your platform and path; nothing moves.",
     "fmu": "Build the platform's FMU; inspect your own.",
@@ -63,7 +63,7 @@ Other packages register commands by entry points of the group `hil.commands`.
 
 
 def _foreign() -> dict[str, str]:
-    """Commands of other packages, each with its origin."""
+    """Name -> line of help, with the origin, of each command that another package registers."""
     from drivers.registry import registered
 
     return {name: f"From {entry.value}." for name, entry in registered("hil.commands").items()}
@@ -114,7 +114,7 @@ def main() -> None:
     \b
     First steps, on this machine alone:
       hil new FILE           a configuration of your own robot, from a few figures
-      hil check              figures and problems of a configuration, nothing moves
+      hil check              figures, warnings and errors of a configuration; nothing moves
       hil stability          what is proven about the control law, with error bounds
       hil workspace          map of the reachable poses, with a picture
       hil compare            all control laws on this platform, path, bus and drives
@@ -123,7 +123,7 @@ def main() -> None:
       hil watch              a live page about the run, in any browser
       hil replay LOG         a recorded run replayed, compared to the bit
       hil report LOG         a page about the log: faults, and margins to all limits
-      hil faults             the reaction to each kind of fault, at each moment
+      hil faults             how a run reacts to each kind of fault, at each moment
 
     CONFIG is a YAML file or the name of a shipped one: virtual (the default), ideal,
     virtual-cia402, socketcan, lab, lab-cia402, two_buses, desktop, bench, vcan50. Logs

@@ -1,4 +1,4 @@
-"""`python -m hil.cli`."""
+"""Entry point of `python -m hil.cli`, the same program as `hil`."""
 
 from hil.cli import main
 

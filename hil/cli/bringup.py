@@ -1,4 +1,4 @@
-"""`hil bringup`."""
+"""The command `hil bringup`: its options and help text."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ from hil.cli.interrupts import pressed
 @shared.log_option
 @shared.reporting
 def command(configuration: str, rehearse: bool, mistakes: tuple[str, ...], **options: Any) -> None:
-    """Bring a machine up, from parts to a moving platform, one leg at a time.
+    """Commission a machine, from parts to a moving platform, one leg at a time.
 
     Each step explains what it will do and how to stop it, and asks for confirmation. Until the step `mounted`
     the legs lie on trestles, without load; at most one brake is open. Repeat the command to continue after a

@@ -1,4 +1,4 @@
-"""`hil calibrate`."""
+"""The command `hil calibrate`: its options and help text."""
 
 from pathlib import Path
 

@@ -8,20 +8,20 @@ import click
 from hil.cli import shared
 
 FOLDER = click.Path(file_okay=False, path_type=Path)
-LOG = "Record run and plant; the option comes last or has FILE; default runs/NAME-row-ROW-TIME.mcap."
+LOG = "Record controller and plant; default FILE: runs/NAME-row-ROW-TIME.mcap, if the option comes last."
 
 
 @click.command("rerun")
 @click.argument("file", metavar="FILE", type=shared.FILE)
 @click.argument("row", type=click.IntRange(min=0))
-@shared.option("--out", FOLDER, "FOLDER", "Results of the campaign, if it ran with --out.")
+@shared.option("--out", FOLDER, "FOLDER", "Folder with the results of the campaign, if it ran with --out.")
 @shared.option("--log", shared.OUTPUT, "[FILE]", LOG, is_flag=False, flag_value="")
 @shared.reporting
 def rerun(file: Path, row: int, out: Path | None, log: Path | None) -> None:
     """Run row ROW of the campaign FILE again and compare its figures, to the bit, with the stored ones.
 
     With --log the run is recorded, and the figures of the log are compared, too. A row that is not stored can
-    also be recorded; its figures are then compared with nothing.
+    also be recorded; then there are no figures to compare.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""`hil check`."""
+"""The command `hil check`: its options and help text."""
 
 import click
 

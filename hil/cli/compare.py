@@ -1,4 +1,4 @@
-"""`hil compare`."""
+"""The command `hil compare`: its options and help text."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
         return None
     names = tuple(dict.fromkeys(name.strip() for name in value.split(",") if name.strip()))
     if not names:
-        raise click.BadParameter("no name in it.", context, parameter)
+        raise click.BadParameter("it contains no name of a law.", context, parameter)
     return names
 
 

@@ -1,4 +1,4 @@
-"""`hil ctl`."""
+"""The command `hil ctl`: its options and help text."""
 
 import click
 
@@ -25,7 +25,7 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
       park          back to the first pose at set-up speed, brakes shut
       stop          stop along the path, brakes shut, as Ctrl-C
       estop         drives off and brakes shut, at once
-      reset         clear latched faults; then arm
+      reset         clear faults of controller and drives; then arm
       key           hold the key (operator.deadman_s) until Ctrl-C, or for --for S
       release       switch off the force that holds a platform with a failed brake
       setpoint ...  x y z in m and the rotation vector in deg, for a live reference
@@ -45,7 +45,7 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
     from hil.app.configuration.address import address
 
     if seconds is not None and words[0] not in operate.REPEATED:
-        raise click.UsageError("--for goes with the words key and jog.")
+        raise click.UsageError("--for applies only to key and jog: leave it out.")
     bus = address(configuration).bus
     if words == ("status",):
         summary = operate.status(bus)

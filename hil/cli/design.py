@@ -24,7 +24,7 @@ METHODS = {
     of the weights that the worst of these axes uses: below 1 every one of them meets all weights.""",
     ),
 }
-"""Name -> one line of help, and its introduction; hil.app.design.command has the functions."""
+"""Design method -> one line of help, and the first part of its long help."""
 EXAMPLES = """
 
     \b

@@ -1,4 +1,4 @@
-"""`hil export`."""
+"""The command `hil export`: its options and help text."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""`hil faults`."""
+"""The command `hil faults`: its options and help text."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ SEED = "Random seed of leg, size and sign of each case; default: leg 2 and the u
 
 
 def _legs(_context: click.Context, _parameter: click.Parameter, value: str | None) -> tuple[int, ...]:
-    """Legs of a list with commas, without repetitions."""
+    """Parse leg numbers separated by commas; repeated numbers count once."""
     try:
         return tuple(dict.fromkeys(map(int, value.split(",") if value is not None else ())))
     except ValueError:

@@ -1,4 +1,4 @@
-"""`hil fmu`."""
+"""The command `hil fmu`: its options and help text."""
 
 from pathlib import Path
 from typing import Literal
@@ -25,7 +25,8 @@ def command() -> None:
 def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
-    One FMU serves every platform: geometry and inertia are its parameters. It is kept in the user's cache.
+    One FMU serves every platform: geometry and inertia are its parameters. The FMU is kept in the user's
+    cache.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""`hil homing`."""
+"""The command `hil homing`: its options and help text."""
 
 from typing import Any
 
@@ -15,15 +15,14 @@ ONE = "Length of this leg; the others keep their lengths in the file. May be rep
 @shared.flag("--at-home", "The platform is at platform.home.")
 @shared.option("--lengths lengths_m", (float,) * 6, "M M M M M M", "Lengths of the legs, joint to joint.")
 @shared.option("--leg legs", LEG, "LEG M", ONE, multiple=True)
-@shared.flag("--emulated", "Show or set the emulated drives' file instead: plant.homing_file.")
+@shared.flag("--emulated", "Show or set the file of the emulated drives instead: plant.homing_file.")
 @shared.reporting
 def command(configuration: str, legs: tuple[tuple[int, float], ...], **options: Any) -> None:
-    """Show the parked leg lengths, or state them; for motors that lose their turn count at power-off.
+    """Show or set the parked leg lengths, for motors that lose their turn count at power-off.
 
-    A run that ends at rest writes drives.homing.file, from which the next run determines each motor's turn.
-    A run is not armed if a leg is found elsewhere, or after a run that was killed in motion. Then measure the
-    legs and state their lengths in m, in leg order, to a quarter of the travel that a drive loses. Nothing
-    moves.
+    A run that ends at rest writes drives.homing.file, from which the next run restores all turn counts. A run
+    is not armed if a leg is found elsewhere, or after a run that was killed in motion. Then measure the legs
+    and set their lengths in m, in leg order, to a quarter of the travel that a drive loses. Nothing moves.
 
     \b
     Examples:

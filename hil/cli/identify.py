@@ -72,7 +72,7 @@ def command(
     duration: float | None,
     **how: bool,
 ) -> None:
-    """Identify the loop, from a run that excites it or from an existing log.
+    """Identify the control loop, from a run that excites it or from an existing log.
 
     Results are the linearised axes, with a nominal model and its error bound, as input of `hil design`; with
     --delay only the time from the encoders' sampling to the force that responds to it. With CONFIG, small

@@ -1,4 +1,4 @@
-"""Ctrl-C in a command: open files are closed, one line reports it, the exit code is 130."""
+"""Handling of Ctrl-C in a command: open files are closed, one line is printed, the exit code is 130."""
 
 import io
 import signal
@@ -17,7 +17,7 @@ BROKEN_PIPE = 128 + signal.SIGPIPE
 
 
 def pressed(signum: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, unless one is being handled, while files are closed and processes ended."""
+    """Handle SIGINT: raise KeyboardInterrupt, unless the clean-up after an earlier one is under way."""
     del signum, frame
     if not isinstance(sys.exc_info()[1], KeyboardInterrupt):
         raise KeyboardInterrupt
@@ -58,7 +58,7 @@ def attached() -> Iterator[None]:
     """Install the signal handling and the output streams of the process.
 
     SIGINT goes to `pressed`, unless it is ignored, as in the background of a script. Afterwards it is
-    ignored, so that Python exits undisturbed. Output that could not be printed gives an exit code.
+    ignored, so that Python exits undisturbed. Exits with BROKEN_PIPE or 1 if output could not be printed.
     """
     if signal.getsignal(signal.SIGINT) in {signal.default_int_handler, signal.SIG_DFL}:
         signal.signal(signal.SIGINT, pressed)

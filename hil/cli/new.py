@@ -1,4 +1,4 @@
-"""`hil new`."""
+"""The command `hil new`: its options and help text."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class _Asked(click.Command):
-    """A command with one option per question; the table of questions is imported when it is called."""
+    """A command with one option for each question of `hil new`, imported only when the command is called."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Parameters, with the options of the questions before the last one."""
+        """Parameters of the command; the options of the questions come before --json, the last one."""
         from hil.app.new.answers import QUESTIONS
 
         added: list[click.Parameter] = []
@@ -45,8 +45,8 @@ def command(file: Path, name: str | None, fmu: Path | None, yes: bool, force: bo
     into the folder NAME; the package runs and passes its contract suite unchanged.
 
     Asks for each figure not given as an option, with its unit and range, and refuses an impossible answer at
-    once. The other numbers follow from rules, which FILE states next to them, or are marked there as usual:
-    none comes from another robot. FILE passes `hil check`, whose warnings are printed.
+    once. The other numbers follow from rules, which FILE states next to them, or are usual values, marked
+    as such; none comes from another robot. FILE passes `hil check`, whose warnings are printed.
 
     \b
     Examples:
@@ -91,7 +91,7 @@ def _skeleton(kind: str, name: str) -> NoReturn:
 def _answers(
     questions: tuple[Question, ...], given: dict[str, Any], known: dict[str, Any], *, ask: bool
 ) -> dict[str, Any]:
-    """All answers: from options, else prompts or defaults. Raises ConfigurationError."""
+    """Answers to all questions, from options, else from prompts or defaults. Raises ConfigurationError."""
     from drivers.errors import ConfigurationError
 
     missing = [q.option for q in questions if given[q.key] is None and q.default is None and q.needed(given)]

@@ -1,4 +1,4 @@
-"""`hil plant`."""
+"""The command `hil plant`: its options and help text."""
 
 import contextlib
 import json

@@ -1,4 +1,4 @@
-"""`hil plot`."""
+"""The command `hil plot`: its options and help text."""
 
 from pathlib import Path
 from typing import Any

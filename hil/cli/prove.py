@@ -1,4 +1,4 @@
-"""`hil prove`."""
+"""The command `hil prove`: its options and help text."""
 
 from pathlib import Path
 

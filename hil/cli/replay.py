@@ -13,7 +13,7 @@ _FORM_OF = {
     **dict.fromkeys(("tolerances", "align"), "--against"),
     **dict.fromkeys(("jobs", "junit"), "--suite"),
 }
-"""Option -> the only form of the command that takes it."""
+"""Parameter -> option that must be given with it."""
 SALVAGE = "First recover a log truncated by power loss into the new file OUT, then replay OUT."
 WHAT_IF = "What the controller of CONFIG would have sent on the recorded measurements."
 SET = "The same with a changed key, as controller.wn_rad_s=25, of CONFIG or of the log's configuration."
@@ -68,7 +68,7 @@ def command(log: Path | None, **given: Any) -> None:
 
 
 def _chosen_form(log: Path | None, given: dict[str, Any]) -> str:
-    """Option of the requested form, or empty. Raises UsageError: options exclude each other."""
+    """Option that selects the form of the command, or "". Raises UsageError if options exclude each other."""
     option_of = {each.name: each.opts[0] for each in click.get_current_context().command.params}
     there = {name: option_of[name] for name, value in given.items() if value not in (None, (), False)}
     forms = [form for form in ("--what-if", "--against", "--suite") if form in there.values()]

@@ -1,4 +1,4 @@
-"""`hil report`."""
+"""The command `hil report`: its options and help text."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""`hil run`."""
+"""The command `hil run`: its options and help text."""
 
 from typing import Any
 
@@ -22,10 +22,10 @@ from hil.cli import shared
 @shared.fault_option
 @shared.reporting
 def command(configuration: str, release: bool, **options: Any) -> None:
-    """Run the daemon in real time.
+    """Run the controller in real time.
 
     Waits for six drives, and for the operator's consent to motion: Enter, --arm, or `hil ctl CONFIG arm` from
-    another terminal. Then it proves the brakes, moves to the start of the reference, tracks it, parks and
+    another terminal. Then it tests the brakes, moves to the start of the reference, tracks it, parks and
     closes the brakes. Ctrl-C stops along the path and parks; a second Ctrl-C is an emergency stop. The log
     goes to --log, else to runs/NAME-TIME.mcap (recording.folder), with a picture next to it; with --plant the
     plant's own log is NAME-plant. The log is replayed at the end.

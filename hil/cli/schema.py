@@ -1,4 +1,4 @@
-"""`hil schema`."""
+"""The command `hil schema`: its options and help text."""
 
 from pathlib import Path
 

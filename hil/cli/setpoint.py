@@ -1,4 +1,4 @@
-"""`hil setpoint`."""
+"""The command `hil setpoint`: its options and help text."""
 
 import sys
 
@@ -23,7 +23,7 @@ def command(
 
     Without --position every line of the standard input is a set-point: x y z in m, then the rotation vector
     in deg. The controller moves there within reference.limits, and reports whether it accepted the set-point.
-    It refuses poses out of stroke, too near to a singularity or with too large forces.
+    It refuses poses out of stroke, too close to a singularity or with forces over limits.force_N.
 
     \b
     Examples:

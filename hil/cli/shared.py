@@ -1,4 +1,4 @@
-"""Shared by the commands: options, exit with a summary, refusals. Heavy imports are deferred."""
+"""Parts of all commands: options, exit with a summary, error messages. Heavy imports are deferred."""
 
 from __future__ import annotations
 
@@ -52,18 +52,18 @@ def complete_configuration(ctx: click.Context, param: click.Parameter, begun: st
 POSITIVE = FiniteRange(min=0, min_open=True)
 NOT_NEGATIVE = FiniteRange(min=0)
 DURATION = FiniteRange(min=0, max=1e9, min_open=True)
-"""s, up to `hil.app.sim.commands.LATEST_S`."""
+"""Type of a duration, s, up to `hil.app.sim.commands.LATEST_S`."""
 FILE = click.Path(dir_okay=False, path_type=Path)
 OUTPUT = Output(dir_okay=False, path_type=Path)
 
 
 def option(names: str, kind: Any, metavar: str | None, text: str, **more: Any) -> Callable[[Any], Any]:
-    """Option of a command. metavar : placeholder of its value in the help; text : its help."""
+    """Option of a command. metavar : placeholder of its value in the help; text : the help itself."""
     return click.option(*names.split(), type=kind, metavar=metavar, help=text, **more)
 
 
 def flag(names: str, text: str) -> Callable[[Any], Any]:
-    """Option without a value."""
+    """Option of a command without a value. text : its help."""
     return click.option(*names.split(), is_flag=True, help=text)
 
 
@@ -80,23 +80,23 @@ mistake_option = option(
     "--mistake mistakes",
     str,
     "WORDS",
-    'Wiring mistake of the bench, as "encoder_sign leg=2"; may be repeated.',
+    'Wiring mistake on the emulated bench, as "encoder_sign leg=2"; may be repeated.',
     multiple=True,
 )
 picture_option = option("--picture", OUTPUT, "FILE", "PNG file to draw; an earlier picture is replaced.")
 out_option = option("--out", OUTPUT, "FILE", "File to write; an existing one is refused.")
 jobs_option = option("--jobs", click.IntRange(min=1), "N", "Number of processes; default: one per processor.")
-junit_option = option("--junit", OUTPUT, "FILE", "Write JUnit XML, a case per verdict; overwrites.")
+junit_option = option("--junit", OUTPUT, "FILE", "Write the verdicts as JUnit XML; replaces an earlier file.")
 force_option = flag("--force", "Overwrite an existing file.")
 configuration_argument = click.argument(
     "configuration", default="virtual", shell_complete=complete_configuration
 )
 _NAMED = ("configuration", "design", "robot", "what_if")
-"""Arguments with a file path or the name of a shipped file."""
+"""Parameters whose value is a file path or the name of a shipped file."""
 FULL = frozenset({"scipy", "sympy", "flint", "matplotlib", "rich"})
-"""Modules of the extra `full`."""
+"""Modules that the extra `full` installs."""
 _RAN = 1
-"""Exit code of a failure after the start."""
+"""Exit code of a command that ran with a failure."""
 REPORT_S = 20.0
 """Interval, s, of progress lines if there is no terminal."""
 _REPORTED = frozenset({"run", "sim"})
@@ -104,7 +104,7 @@ _REPORTED = frozenset({"run", "sim"})
 
 
 def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = None) -> NoReturn:
-    """Write a summary as JSON, print it (or `shown` in its place), exit with code 0 only on success."""
+    """Write a summary to the file of --json, print it or `shown`, and exit with code 0 only on success."""
     from hil.app.output import show
     from hil.app.terminal import visible
 
@@ -116,12 +116,12 @@ def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = N
             click.echo(visible(f"  {line}"), err=True)
     show(title, summary if shown is None else shown)
     if summary.get("kind") in _REPORTED and summary.get("log") and summary.get("ticks"):
-        click.echo(f"look at it: hil report {shlex.quote(summary['log'])}")
+        click.echo(f"next: hil report {shlex.quote(summary['log'])}")
     _end(summary, unwritten)
 
 
 def finish_lines(lines: Iterable[str], summary: dict[str, Any]) -> NoReturn:
-    """Write a summary as JSON, print the lines, exit with code 0 only on success."""
+    """Write a summary to the file of --json, print the lines, and exit with code 0 only on success."""
     from hil.app.output import show_lines
 
     unwritten = write_twin(summary)
@@ -130,7 +130,7 @@ def finish_lines(lines: Iterable[str], summary: dict[str, Any]) -> NoReturn:
 
 
 def write_twin(summary: dict[str, Any]) -> list[str]:
-    """Write the JSON before anything is printed, since printing may fail; return errors of output files."""
+    """Write the file of --json, first because printing may fail; return messages about unwritten files."""
     unwritten = list(summary.get("unwritten", ()))
     json_file = click.get_current_context().params["json_file"]
     if json_file is not None:
@@ -153,7 +153,7 @@ def _end(summary: dict[str, Any], unwritten: list[str]) -> NoReturn:
 
 
 def reporting(command: Callable[..., None]) -> Callable[..., None]:
-    """Add --json, and check the output files before the command begins."""
+    """Decorate a command: add the option --json, and check its output files before it begins."""
 
     @option("--json json_file", OUTPUT, "FILE", "Also write the summary as JSON.")
     @wraps(command)
@@ -174,7 +174,7 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def write(summary: dict[str, Any], out: Path | None, text: str) -> None:
-    """Write a further output if `out` is given; an error becomes part of the summary."""
+    """Write `text` to the file `out`, if given; an error is stored in the summary, with exit code 1."""
     from hil.app.files import write_whole
     from hil.app.output import further
 
@@ -185,7 +185,7 @@ def write(summary: dict[str, Any], out: Path | None, text: str) -> None:
 
 
 def write_cases(summary: dict[str, Any], junit: Path | None, name: str, cases: Iterable[Verdict]) -> None:
-    """Write verdicts as JUnit XML if `junit` is given; an error becomes part of the summary."""
+    """Write passed and failed cases as JUnit XML to `junit`, if given; an error is stored in the summary."""
     if junit is not None:
         from hil.app.output import further
         from hil.study.junit import write_junit
@@ -195,14 +195,14 @@ def write_cases(summary: dict[str, Any], junit: Path | None, name: str, cases: I
 
 
 class OrOther(click.Command):
-    """A command whose first word may be the name of another command, `other`."""
+    """A command that runs the command `other` instead if its first argument is the name of `other`."""
 
     other: click.Command
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """Context of the command that the first word selects."""
+        """Context of `other` if the first argument is its name, else of this command."""
         if args and args[0] == self.other.name:
             return self.other.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
         return super().make_context(info_name, args, parent, **extra)
@@ -318,7 +318,7 @@ def _refuse(message: str, code: int = 2) -> NoReturn:
 
 
 def load(configuration: str, command: Literal["run", "plant", "sim"] | None = None) -> Configuration:
-    """Load a configuration; for a command that moves the platform, refuse an impossible one at once.
+    """Load a configuration; for a command that moves the platform, check that the reference is reachable.
 
     Raises ConfigurationError.
     """

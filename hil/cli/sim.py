@@ -1,4 +1,4 @@
-"""`hil sim`."""
+"""The command `hil sim`: its options and help text."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""`hil stability`."""
+"""The command `hil stability`: its options and help text."""
 
 from math import nan
 from typing import Any
@@ -12,7 +12,7 @@ Point = tuple[float, float, float]
 
 
 def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[float, Point] | None:
-    """Mass, kg, and place, m, in `230kg@0.5,0.3,0.5`; default place: the origin. Raises BadParameter."""
+    """Parse a mass, kg, and its place, m, as `230kg@0.5,0.3,0.5`; default place: the platform's origin."""
     if value is None:
         return None
     mass, _, place = value.partition("@")

@@ -1,4 +1,4 @@
-"""`hil view`."""
+"""The command `hil view`: its options and help text."""
 
 from pathlib import Path
 from typing import Any

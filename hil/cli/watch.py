@@ -1,4 +1,4 @@
-"""`hil watch`."""
+"""The command `hil watch`: its options and help text."""
 
 from typing import Any
 

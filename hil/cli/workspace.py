@@ -1,4 +1,4 @@
-"""`hil workspace`."""
+"""The command `hil workspace`: its options and help text."""
 
 from typing import Any
 

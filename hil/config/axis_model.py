@@ -1,4 +1,4 @@
-"""File written by `hil identify` and read by `hil design`: one axis of the linearised loop."""
+"""Axis model: the file that `hil identify` writes and `hil design` reads, one axis of the linearised loop."""
 
 from typing import Annotated, Literal, Self
 
@@ -13,7 +13,7 @@ AxisSpace = Literal["joint", "pose"]
 
 
 class NominalAxis(Section):
-    """Demanded to measured: gain exp(-transport s) / (lag s + 1) / s^2, after a hold of one period."""
+    """Demanded acceleration to position: gain exp(-transport s) / (lag s + 1) / s^2, after a hold."""
 
     gain: SixPositive
     """Gain of each axis; 1 where model and robot agree."""
@@ -24,7 +24,7 @@ class NominalAxis(Section):
 
 
 class UncertaintyProfile(Section):
-    """Largest deviation of the measured axes from the nominal one: |P / P0 - 1| <= bound."""
+    """Bound over frequency on the relative error of the nominal axis P0: |P / P0 - 1| <= bound."""
 
     frequency_Hz: Annotated[list[Positive], Field(min_length=2)]
     """Frequencies in rising order."""
@@ -41,7 +41,7 @@ class UncertaintyProfile(Section):
 
 
 class AxisResponse(Section):
-    """Measured frequency response of one axis, at the excited frequencies."""
+    """Measured frequency response of one axis, from demanded acceleration to position."""
 
     frequency_Hz: list[Positive]
     magnitude: list[NonNegative]
@@ -53,7 +53,7 @@ class AxisResponse(Section):
 
 
 class AxisModel(Section):
-    """An identified axis: nominal model, bound of its error, and the measured responses."""
+    """Content of an axis model file: nominal model, bound of its error, and the measured responses."""
 
     kind: Literal["axis-model"]
     source: str

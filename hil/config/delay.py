@@ -20,7 +20,7 @@ class ForceDelay(Section):
 
 
 class DelayCompensation(ForceDelay):
-    """Compute for the instant at which the force acts: bus + lag + hold after the measurement."""
+    """Predict to the instant at which the force acts: bus + lag + hold after the measurement."""
 
     hold_ms: Delay = 0.0
     """Half a period: the mean delay of a force that is held for one period."""

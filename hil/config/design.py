@@ -1,4 +1,4 @@
-"""File that `hil design` reads: an axis, its controller, and the requirements on the loop."""
+"""Input file of `hil design`: an axis, the inputs of its controller, and the requirements on the loop."""
 
 from math import pi
 from typing import Annotated, Literal, Self
@@ -20,7 +20,7 @@ class TransferFunction(Section):
 
 
 class DesignAxis(Section):
-    """gain exp(-transport s) / (lag s + 1) / s^2, after a hold of one period."""
+    """Demanded acceleration to position: gain exp(-transport s) / (lag s + 1) / s^2, after a hold."""
 
     gain: Positive = 1.0
     """Measured over demanded acceleration; 1 where model and robot agree."""
@@ -36,11 +36,11 @@ class DisturbanceWeight(Section):
     """Acceleration on the axis that the law does not know: loads, friction, model errors."""
 
     amplitude_m_s2: Positive
-    """rad/s^2 on a rotation axis; likewise below."""
+    """On rotation axes rad replaces m in the units of all weights."""
 
 
 class ErrorWeight(Section):
-    """Allowed error under the disturbance: `low` at rest, `peak` above `bandwidth`."""
+    """Allowed position error under the disturbance: `low` at rest, rising to `peak` above `bandwidth`."""
 
     low_m: Positive
     """Allowed error under a constant disturbance. A smaller value makes the controller integrate more."""
@@ -57,7 +57,7 @@ class ErrorWeight(Section):
 
 
 class ControlWeight(Section):
-    """Allowed acceleration of the controller under disturbance and noise."""
+    """Allowed acceleration that the controller demands under disturbance and noise."""
 
     limit_m_s2: Positive
     """Limit at low frequency. Divided by the disturbance's amplitude it bounds the peak of T."""
@@ -71,22 +71,22 @@ class NoiseWeight(Section):
     error_m: Positive
     """Encoder error: resolution and compliance between encoder and load."""
     rate_error_m_s: Positive | None = None
-    """Only with rate_error in `inputs`."""
+    """Error of the measured rate; required if `inputs` lists rate_error, otherwise not allowed."""
 
 
 class DesignWeights(Section):
-    """Requirements on the loop. gamma <= 1 means that all are met."""
+    """Requirements on the loop. Synthesis returns gamma; gamma <= 1 means that all are met."""
 
     disturbance: DisturbanceWeight
     error: ErrorWeight | TransferFunction
-    """Or the weight itself, 1/m."""
+    """Allowed error, or the weight itself as a transfer function, 1/m."""
     control: ControlWeight | TransferFunction
-    """Or the weight itself, s^2/m."""
+    """Allowed acceleration, or the weight itself as a transfer function, s^2/m."""
     noise: NoiseWeight
 
 
 class UncertaintyRanges(Section):
-    """Uncertainties that the controller must tolerate together; mu < 1 means that it does."""
+    """Uncertainties that the controller must tolerate together; `hil design mu` proves it by mu < 1."""
 
     inertia: Annotated[float, Field(gt=0, lt=1)]
     """Relative error of mass and inertia: 0.2 for +-20 %."""
@@ -111,7 +111,7 @@ class UncertaintyRanges(Section):
 
 
 class Design(Section):
-    """A design: one controller for each of six equal axes."""
+    """Content of the input file of `hil design`: one controller for each of six equal axes."""
 
     kind: Literal["design"]
     description: str = ""
@@ -120,16 +120,16 @@ class Design(Section):
     """Rate of the loop that will run the controller."""
     inputs: Annotated[list[ControllerInput], Field(min_length=1, max_length=2)] = ["error", "rate_error"]
     nominal: DesignAxis | None = None
-    """Parameters of the axis ..."""
+    """Parameters of the axis; instead of `model`."""
     model: str | None = None
-    """... or a file of `hil identify`, relative to this file; `--model` overrides both."""
+    """File of `hil identify`, relative to this file, instead of `nominal`; `--model` overrides both."""
     delay_order: Annotated[int, Field(ge=1, le=4)] = 1
     """Order of the Pade approximation of transport plus half a period."""
     lump_lag: bool = False
     """Treat the lag as extra dead time: one state fewer, and no fast controller pole that cancels the lag."""
     weights: DesignWeights
     uncertainty: UncertaintyRanges | None = None
-    """For `hil design mu`."""
+    """Uncertainties for `hil design mu`."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

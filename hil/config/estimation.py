@@ -1,4 +1,4 @@
-"""Section `estimation`: source of the State, and the external load on the platform."""
+"""Section `estimation`: how the platform's pose, twist and external load are estimated."""
 
 from typing import Annotated, Literal
 
@@ -11,7 +11,7 @@ from hil.config.values import NonNegative, Positive
 
 
 class WrenchSettings(ForceDelay):
-    """Source of the external wrench in the State; laws with a model compensate the wrench."""
+    """Source of the estimated external wrench; laws with a model compensate the wrench."""
 
     source: Literal["none", "observer", "sensor"] = "none"
     """`observer`: from the forces sent and the resulting motion. `sensor`: the wrench of `sensors`."""
@@ -78,7 +78,7 @@ class FusionSettings(Section):
 
 
 class EstimationSettings(Section):
-    """Estimation of the platform's state."""
+    """Estimation of the platform's pose, twist and external wrench."""
 
     pose: Literal["legs", "fused"] = "legs"
     """`legs`: forward kinematics of the six lengths. `fused`: legs, model and the poses of section

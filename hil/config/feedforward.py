@@ -1,4 +1,4 @@
-"""Section `feedforward`: leg forces learned from run to run, over the time of the reference."""
+"""Section `feedforward`: leg forces, learned from earlier runs, over the time of the reference."""
 
 from typing import Annotated, Literal
 
@@ -9,7 +9,7 @@ from hil.config.values import NonNegative, Positive
 
 
 class FeedforwardSettings(Section):
-    """Result of `hil learn` for one reference, controller and platform."""
+    """Leg forces that `hil learn` wrote for one reference, controller and platform."""
 
     file: str
     """CSV file of `hil learn`, relative to the configuration file."""
@@ -21,7 +21,7 @@ class FeedforwardSettings(Section):
 
 
 class MadeFor(Section):
-    """Fingerprints of the reference, controller and platform; for any others the forces are wrong."""
+    """Fingerprints of the reference, controller and platform for which the forces were learned."""
 
     reference: str
     controller: str
@@ -29,7 +29,7 @@ class MadeFor(Section):
 
 
 class FeedforwardHead(Section):
-    """Head of the file of `hil learn`: source and settings of the learning."""
+    """Head of a file that `hil learn` wrote: what the forces were learned from, and how."""
 
     kind: Literal["feedforward"]
     source: str

@@ -13,7 +13,7 @@ Ticks = Annotated[int, Field(ge=1, le=1000)]
 
 
 class LimitSettings(Section):
-    """Safety limits of the controller."""
+    """Safety limits on forces, speeds, positions and timing."""
 
     force_N: Positive
     """Largest force of a leg."""
@@ -58,7 +58,7 @@ class LimitSettings(Section):
 
 
 class MonitorSettings(Section):
-    """Reaction to an error that grows faster than its Lyapunov function allows."""
+    """Monitor of the tracking error: reaction if the error grows faster than its Lyapunov function allows."""
 
     action: Literal["log", "warn", "fault"] = "log"
     """`log`: record V, its rate and its bound. `warn`: also warn (CERTIFICATE). `fault`: end the run."""
@@ -127,7 +127,7 @@ class ReactionSettings(Section):
     `drives.brake_after_ms`. `zero`: no force and no brake. An emergency stop always brakes."""
 
     def led_to(self, reaction: str) -> Fault:
-        """Faults that lead to a reaction."""
+        """Bits of all faults for which these settings choose `reaction`, for example "sbc"."""
         faults = Fault.NONE
         for name in Fault.__members__:
             if getattr(self, name.lower(), "") == reaction:

@@ -1,4 +1,4 @@
-"""File written by `hil design` and run by the law `state_space`: one controller for each of six axes."""
+"""File that `hil design` writes and the law `state_space` runs: one linear controller for six axes."""
 
 from typing import Annotated, Any, Literal, Self
 

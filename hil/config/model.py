@@ -15,8 +15,8 @@ class MechanicsSettings(Section):
     """Factor on all masses, all inertias and the platform's centre of mass. The centres of mass along the
     legs stay exact, as do lengths, J, its rate, gravity and friction."""
     reflected_mass_kg: NonNegative | SixNonNegative = 0.0
-    """Reflected mass of motor and screw: rotary inertia times (2 pi / lead)^2. One for all legs, or one each;
-    likewise below."""
+    """Reflected mass of motor and screw: rotary inertia times (2 pi / lead)^2. One for all legs, or one per
+    leg, as for the friction."""
     viscous_friction_N_s_m: NonNegative | SixNonNegative = 0.0
     coulomb_friction_N: NonNegative | SixNonNegative = 0.0
     sliding_speed_m_s: NonNegative = 1e-3

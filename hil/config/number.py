@@ -1,4 +1,4 @@
-"""Numbers as text, and the allowed range: squares of numbers beyond it would not fit into a float."""
+"""Numbers in text, and their allowed range: the square of a number outside would not fit into a float."""
 
 import math
 import re
@@ -17,5 +17,5 @@ def is_allowed(number: float) -> bool:
 
 
 def plain_number(word: str) -> float:
-    """Number in a word; nan for anything else, such as 1_0 or digits of other scripts."""
+    """Decimal number in `word`; nan for any other text, such as 1_0 or digits of other scripts."""
     return float(word) if _PLAIN.fullmatch(word.strip()) else math.nan

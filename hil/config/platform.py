@@ -58,7 +58,7 @@ class Frame(Section):
 
 
 class InertiaReference(Section):
-    """Reference of a tensor, if not the centre of mass and the axes of the body's frame."""
+    """Point and axes of an inertia tensor, if not the centre of mass and the axes of the body's frame."""
 
     point_m: Vector3 | None = None
     """Point of the body's frame to which the tensor refers; default: the centre of mass."""
@@ -142,7 +142,7 @@ PlaceRange = Annotated[tuple[float, float], AfterValidator(_rising)]
 
 
 class PayloadSettings(RigidBodySettings):
-    """A body carried by the platform. The model has its values; ranges describe what varies."""
+    """A body carried by the platform. The model uses its values; ranges state how far they may vary."""
 
     mass_kg: NonNegative
     """0: the model does not include the body; then `shape` and `mass_range_kg` are required."""
@@ -184,7 +184,7 @@ class BodySettings(RigidBodySettings):
 
 
 class LegBodySettings(Section):
-    """One half of every leg."""
+    """Cylinder or rod, the two parts of a leg; equal for all six legs."""
 
     mass_kg: NonNegative
     com_m: NonNegative

@@ -1,4 +1,4 @@
-"""Section `reference`: one model per kind, selected by `type`."""
+"""Section `reference`: settings of each kind of reference trajectory, selected by `type`."""
 
 from typing import Annotated, Literal
 
@@ -26,14 +26,14 @@ Duration = Annotated[float, Field(gt=0, le=LONGEST_S)]
 
 
 class Evaluated(Section):
-    """Keys of every reference that is known before the run."""
+    """Keys of every reference whose motion is known before the run."""
 
     evaluation: Literal["online", "offline"] = "online"
     """No effect: samples are computed at each tick."""
 
 
 class HoldReference(Evaluated):
-    """Stay at a pose."""
+    """Reference at rest at one pose."""
 
     type: Literal["hold"]
     pose: Pose | None = None
@@ -111,7 +111,7 @@ class SinusoidReference(Evaluated):
 
 
 class MultisineAxis(Section):
-    """Lines of equal amplitude on one axis."""
+    """Sinusoids (lines) of equal amplitude on one axis, spread over a band of frequencies."""
 
     axis: Axis
     band_Hz: tuple[Positive, Positive]
@@ -139,7 +139,7 @@ class MultisineReference(Evaluated):
 
 
 class SampledReference(Evaluated):
-    """CSV file with columns t_s, x_m, y_m, z_m, rx_deg, ry_deg, rz_deg (rotation vector): a cubic spline."""
+    """Cubic spline through a CSV file: t_s, x_m, y_m, z_m, rotation vector rx_deg, ry_deg, rz_deg."""
 
     type: Literal["sampled"]
     path: str

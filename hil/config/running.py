@@ -11,7 +11,7 @@ UpToAMinute = Annotated[float, Field(ge=0, le=60)]
 
 
 class LoopSettings(Section):
-    """The fixed-rate loop."""
+    """Rate, timing and real-time scheduling of the control loop."""
 
     rate_Hz: Annotated[float, Field(ge=1, le=100_000)] = 1000.0
     feedback_window_us: Positive | None = None
@@ -29,12 +29,12 @@ class LoopSettings(Section):
     clock, or continue as on hardware, where a long stall ends in a fault."""
 
     def window_s(self, rate_Hz: float) -> float:
-        """Longest wait for the six feedbacks at a rate, s."""
+        """Longest wait, s, for the six feedbacks after SYNC if the loop runs at `rate_Hz`."""
         return 0.75 / rate_Hz if self.feedback_window_us is None else self.feedback_window_us * 1e-6
 
 
 class EngageSettings(Section):
-    """Transition from rest to the first reference sample, without a bump."""
+    """Timing from rest on the brakes to the first reference sample, and of stops."""
 
     force_ramp_s: UpToAMinute = 0.3
     """Time in which the static holding force builds up against the closed brakes, or fades out; the brake
@@ -57,7 +57,7 @@ class EngageSettings(Section):
 
 
 class OperatorSettings(Section):
-    """Actions required of the operator; see the guide on operating a run."""
+    """What the operator must do before and during motion, and the speeds of set-up motions."""
 
     start: Literal["automatic", "asked"] = "automatic"
     """`asked`: after the approach the platform waits at the reference's start for `hil ctl start`."""
@@ -82,7 +82,7 @@ class WebsocketSettings(Section):
 
 
 class RecordingSettings(Section):
-    """Recording of the log."""
+    """Folder, memory and size limit of the recorded logs."""
 
     folder: str = "runs"
     on_recorder_loss: Literal["continue", "stop"] = "continue"

@@ -1,4 +1,4 @@
-"""Building blocks of several sections: vectors, six values per leg, bounds, a pose."""
+"""Types used in several sections: vectors, six values per leg, bounds, a pose."""
 
 import math
 from typing import Annotated, Literal, get_args
@@ -36,7 +36,7 @@ RotationVector = Annotated[Vector3, AfterValidator(_at_most_half_a_turn)]
 
 
 class Pose(Section):
-    """Platform pose: origin in the base frame and rotation vector."""
+    """Pose of the platform: position of its origin in the base frame, and rotation vector."""
 
     position_m: Vector3
     rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)

@@ -10,5 +10,5 @@ pytest.register_assert_rewrite("hil.contracts.law", "hil.contracts.protocol", "h
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the marker of the suites' slow tests."""
+    """Declare the pytest marker `long` of the suites' slow tests."""
     config.addinivalue_line("markers", 'long: takes a while; leave it out with -m "not long"')

@@ -1,6 +1,6 @@
 """Both ends of a protocol as pure functions: each call takes the state of an end and gives the next state.
 
-So a test can go back, repeat a call, or compare the states after two sequences of frames.
+A test can therefore restore a state, repeat a call, or compare the states after two sequences of frames.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from plant_fmu.drives.codec import DrivesEnd
 
 
 class Remembered:
-    """State of an end. It has the fields of the end's record, as tuples where a field has several values."""
+    """State of one end of a drive protocol: the fields of its record, as tuples where they are arrays."""
 
     def __init__(self, state: Any, setup: DriveSetup | None = None, first: str | None = None) -> None:
-        """Take the state; for a dialogue also its set-up and the first own field of its record."""
+        """Store the state; of a controller's end also its set-up and the first field that `==` compares."""
         self.state, self.setup, self.first = state, setup, first
 
     def __getattr__(self, name: str) -> Any:
@@ -51,7 +51,7 @@ class Remembered:
         return type(self), (self.state, self.setup, self.first)
 
     def _replace(self, **values: Any) -> Remembered:
-        """Copy with other values of fields."""
+        """Copy of the state in which the given fields have other values."""
         if not isinstance(self.state, np.ndarray):
             return type(self)(self.state._replace(**values), self.setup)
         state = self.state.copy()
@@ -61,7 +61,7 @@ class Remembered:
 
 
 class ByValue:
-    """A protocol, and its two ends as pure functions."""
+    """A drive protocol whose controller's end and drives' end are pure functions of their state."""
 
     def __init__(self, protocol: Any) -> None:
         self.protocol = protocol
@@ -75,13 +75,13 @@ class ByValue:
 
     @staticmethod
     def of(protocol: Any) -> ByValue:
-        """Wrap a protocol, unless it is wrapped already."""
+        """Protocol as a ByValue; a protocol that is one already is returned unchanged."""
         return protocol if isinstance(protocol, ByValue) else ByValue(protocol)
 
     # controller's end
 
     def start(self, setup: DriveSetup) -> Remembered:
-        """Dialogue before its first frame."""
+        """State of the controller's end before its first frame."""
         end = self._controllers[setup] = self.protocol.controller_end(setup)
         return self._dialogue(end, setup)
 
@@ -97,13 +97,13 @@ class ByValue:
         return end
 
     def begin(self, dialogue: Remembered, tick: int) -> tuple[Frame, ...]:
-        """Frames that start a tick."""
+        """Frames that the controller sends at the start of a tick, such as SYNC."""
         return sent_frames(self._end(dialogue).begin(tick))
 
     def decode(
         self, dialogue: Remembered, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> Remembered:
-        """Fill the measurement of a tick."""
+        """Fill the measurement columns of `tick` from frames; return the controller's next state."""
         end = self._end(dialogue)
         end.take(frames, last, tick, since_ns)
         return self._dialogue(end, dialogue.setup)
@@ -111,33 +111,33 @@ class ByValue:
     def command(
         self, dialogue: Remembered, command: Command, tick: int
     ) -> tuple[Remembered, tuple[Frame, ...]]:
-        """Frames of one tick's command."""
+        """Next state of the controller's end, and the frames that carry the command of a tick."""
         end = self._end(dialogue)
         frames = sent_frames(end.give(command, tick))
         return self._dialogue(end, dialogue.setup), frames
 
     def set_up(self, dialogue: Remembered, tick: Record) -> tuple[Remembered, tuple[Frame, ...]]:
-        """Frames of the start-up dialogue in a tick."""
+        """Next state of the controller's end, and its frames of the start-up dialogue in a tick."""
         end = self._end(dialogue)
         frames = sent_frames(end.set_up(tick))
         return self._dialogue(end, dialogue.setup), frames
 
     def legs_set_up(self, dialogue: Remembered) -> tuple[bool, ...]:
-        """True for each drive that has been set up."""
+        """For each of the six drives: True if the controller has confirmed its set-up."""
         return self._end(dialogue).legs_set_up()
 
     def set_up_lacks(self, dialogue: Remembered) -> tuple[str, ...]:
-        """Set-up that each drive has not confirmed, as text."""
+        """For each drive a text that lists the set-up it has not confirmed; "" if nothing is missing."""
         return self._end(dialogue).lacks()
 
     def carried(self, dialogue: Remembered, force: Array) -> Array:
-        """Forces that legs at rest get from a command of forces."""
+        """Forces (6,) N that legs at rest get if the command is `force` (6,) N, as the protocol rounds it."""
         return self._end(dialogue).carried(force)
 
     # drives' end
 
     def power_up(self) -> Remembered:
-        """Memory of six drives that have received nothing."""
+        """State of six drives just switched on, before any frame."""
         self._drives = drives_end(self.protocol)
         return self._memory(self._drives)
 
@@ -152,7 +152,7 @@ class ByValue:
         return self._drives
 
     def parse(self, memory: Remembered, frame: Frame) -> tuple[Remembered, tuple[DeviceMessage, ...]]:
-        """Decode a frame at the drives."""
+        """Next state of the drives, and the messages that they decode from a frame."""
         end = self._at(memory)
         messages = hear(end, frame)
         return self._memory(end), messages
@@ -167,19 +167,19 @@ class ByValue:
         state: Ints,
         fault: Ints | None = None,
     ) -> tuple[Remembered, list[tuple[int, Frame]]]:
-        """Encode the drives' answers."""
+        """Next state of the drives, and their answers to a SYNC as (leg, frame), for readings (6,)."""
         end = self._at(memory)
         frames = reply(end, sync, reading_of(length, rate, force, state, 0 if fault is None else fault))
         return self._memory(end), frames
 
     def report(self, memory: Remembered, status: Status) -> tuple[Remembered, tuple[Frame, ...]]:
-        """Encode a drive's report of its state."""
+        """Next state of the drives, and the frames in which one drive reports its status."""
         end = self._at(memory)
         frames = announce(end, status)
         return self._memory(end), frames
 
     def restarted(self, memory: Remembered, legs: Sequence[int]) -> Remembered:
-        """Memory after drives were switched off and on."""
+        """State of the drives after those of `legs` were switched off and on."""
         end = self._at(memory)
         end.restart(legs)
         return self._memory(end)

@@ -23,7 +23,7 @@ from hil.trajectory.path import PoseSample
 
 
 class LawContract:
-    """Contract suite: give `settings`, or a fixture `law`; and a fixture `platform` for another robot."""
+    """Contract suite of a law: set `settings` or a fixture `law`; fixture `platform` for another robot."""
 
     settings: ClassVar[LawSettings]
 
@@ -34,7 +34,7 @@ class LawContract:
 
     @pytest.fixture
     def home(self) -> PoseSample:
-        """Pose of the robot at rest."""
+        """Home pose of the robot, at rest."""
         return PoseSample(*pose_arrays(load("virtual").platform.home), np.zeros(6), np.zeros(6))
 
     @pytest.fixture
@@ -84,7 +84,7 @@ class LawContract:
             assert not np.isinf(asked(law, tick, shortfall=random.normal(0, 1e4 * size, 6))).any()
 
     def test_a_nan_pose_gives_nan_or_an_exception(self, law: Law, ticks: list[Record]) -> None:
-        """A pose of nan never becomes a force: the law gives nan or an exception, which latch a fault."""
+        """A pose of nan gives nan or an exception, and the controller turns either into a fault."""
         try:
             tau = asked(law, ticks[0], q=np.nan, dq=np.nan, p=np.nan, R=np.nan, J=np.nan, twist=np.nan)
         except Exception:  # noqa: BLE001 - whatever a law raises
@@ -92,7 +92,7 @@ class LawContract:
         assert np.isnan(tau).all()
 
     def test_a_limited_force_does_not_wind_up_the_law(self, law: Law, ticks: list[Record]) -> None:
-        """Half of the force is applied, for 2 s and for 20 s: in the end the law demands the same."""
+        """If only half of the force is applied, the law demands the same force after 2 s and after 20 s."""
         tick = ticks[5]
         tick["q"] -= 2e-3
         limit = 0.5 * np.abs(asked(law, tick))

@@ -1,4 +1,4 @@
-"""Loopback of a protocol: both ends on one line without bit time, tick by tick."""
+"""Both ends of a drive protocol connected tick by tick, without bit time, for tests."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ OFF = Command(DriveMode.OFF, np.zeros(LEGS))
 RESET = Command(DriveMode.RESET, np.zeros(LEGS))
 LEG = 3
 CLIPS_N = 55_000.0
-"""Force that no emulated drive clips; they clip at 60 kN."""
+"""Force, N, that no emulated drive limits; they limit at 60 kN."""
 BEAT_TICKS = 6
 """Ticks between two heartbeats of a drive."""
 PATIENCE = 200
@@ -43,7 +43,7 @@ PATIENCE = 200
 
 
 class Placed(Plant):
-    """A plant whose legs stay where the test puts them."""
+    """Plant whose leg lengths and rates stay as the test sets them, whatever the forces."""
 
     internal_step_s = 1e-4
 
@@ -58,12 +58,12 @@ class Placed(Plant):
 
 
 class Twice(ByValue):
-    """A protocol whose calls are made twice: results must be equal, inputs unchanged."""
+    """Protocol that makes each call twice, and checks that results are equal and inputs unchanged."""
 
     def decode(
         self, dialogue: Remembered, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS
     ) -> Remembered:
-        """Like the other calls, except that it fills the tick."""
+        """Decode the same frames twice, into the tick and a copy, and compare both."""
         given, other = (dialogue, frames, last), copy_of(tick)
         before = pickle.dumps(given)
         first = super().decode(*given, other, since_ns)
@@ -92,14 +92,14 @@ for _name in ("begin", "command", "set_up", "legs_set_up", "set_up_lacks"):
 
 
 def at_tick(tick: int) -> Any:
-    """Record of a tick before any feedback."""
+    """Record of tick number `tick` before any feedback."""
     record = new_record()
     record["tick"] = tick
     return record
 
 
 def reaction_of(protocol: Family | ByValue) -> Reaction:
-    """DAMP, or the first reaction of drives that lack it."""
+    """Reaction to a silent controller used in tests: DAMP, or the protocol's first one if it lacks DAMP."""
     return Reaction.DAMP if Reaction.DAMP in protocol.traits.reactions else protocol.traits.reactions[0]
 
 
@@ -107,15 +107,15 @@ class Ends:
     """Controller's end and drives' end of one protocol. State: both ends, and the frames between them."""
 
     def __init__(self, protocol: Family | ByValue, *faults: Fault, rate: Array = RATE) -> None:
-        """Connect the ends of a protocol, with faults and the rate of the legs (6,) m/s."""
+        """Connect both ends of a protocol; the drives inject `faults` and measure the leg rates (6,) m/s."""
         self.protocol, self.plant = ByValue.of(protocol), Placed(rate)
         settings = DriveSettings(heartbeat_ms=1e-6 * BEAT_TICKS * PERIOD_NS)
         emulation = DriveEmulation(encoder_resolution_m=0.0)
         self.nodes = Nodes(self.plant, self.protocol.protocol, emulation, settings, FaultPlan(faults))
         self.to_hear: Callable[[list[Received]], list[Received]] = list
-        """Change of the frames on their way to the controller."""
+        """Function that may change the frames on their way to the controller."""
         self.to_obey: Callable[[Sequence[Frame]], Sequence[Frame]] = list
-        """Change of the frames on their way to the drives."""
+        """Function that may change the frames on their way to the drives."""
         self.dialogue = self.protocol.start(SETUP._replace(reaction=reaction_of(protocol)))
         self.measurement = new_record()
         self.tick = -1
@@ -128,7 +128,7 @@ class Ends:
     def step(
         self, command: Command = OFF, *, set_up: bool = True, first: Sequence[Frame] = ()
     ) -> tuple[Frame, ...]:
-        """Run one tick and give the frames of its set-up. `first` is sent before the command."""
+        """Run one tick; return its set-up frames. The frames `first` are sent before the command."""
         self.tick += 1
         t_ns, protocol = self.tick * PERIOD_NS, self.protocol
         self.opening = protocol.begin(self.dialogue, self.tick)
@@ -153,25 +153,25 @@ class Ends:
         return [int(state) for state in self.measurement["drive_state"]]
 
     def alone(self, ticks: int) -> None:
-        """Run the drives without a controller; their frames are lost."""
+        """Run the drives for some ticks without a controller, which loses their frames."""
         for _ in range(ticks):
             self.tick += 1
             self._to_drives(self.tick * PERIOD_NS, ())
         self.to_controller.clear()
 
     def replace_controller(self) -> None:
-        """Replace the controller by a new one."""
+        """Replace the controller by a new one that has not yet sent anything."""
         self.dialogue = self.protocol.start(SETUP._replace(reaction=reaction_of(self.protocol)))
         self.to_controller.clear()
 
     def recover(self) -> None:
-        """Reset, park and set up, like the next run with --reset."""
+        """Switch the drives off, reset their faults and set them up, as the next run with --reset does."""
         for command in [OFF] * 3 + [RESET] * self.protocol.traits.reset_ticks:
             self.step(command)
         self.until_set_up()
 
     def until_set_up(self, legs: Sequence[int] = range(LEGS)) -> None:
-        """Run the dialogue to its end."""
+        """Run ticks until the drives of `legs` are set up and off; AssertionError after PATIENCE ticks."""
         for _ in range(PATIENCE):
             self.step()
             there = self.protocol.legs_set_up(self.dialogue)
@@ -185,27 +185,27 @@ class Ends:
         return 3 + BEAT_TICKS * int(self.protocol.traits.power_told == "heartbeat")
 
     def restart(self, force: Array = FORCE) -> None:
-        """Bring drives that are set up to RUN with a force."""
+        """Bring drives that are set up to the state RUN, with force commands (6,) N."""
         for mode in (DriveMode.READY, DriveMode.RUN):
             for _ in range(self.report_ticks):
                 self.step(Command(mode, force), set_up=False)
         assert self.measurement["drive_state"].tolist() == [DriveState.RUN] * LEGS
 
     def running(self, force: Array = FORCE) -> None:
-        """Set the drives up and bring them to RUN with a force."""
+        """Set the drives up and bring them to the state RUN, with force commands (6,) N."""
         self.until_set_up()
         self.restart(force)
 
 
 class Line(Ends):
-    """Both ends, with legs at rest."""
+    """Controller's end and drives' end of one protocol, with legs at rest."""
 
     def __init__(self, protocol: Family | ByValue, *faults: Fault) -> None:
         super().__init__(protocol, *faults, rate=np.zeros(LEGS))
 
 
 def most_force(protocol: ByValue) -> float:
-    """Largest force that a command accepts."""
+    """Largest force, N, that a command of this protocol accepts, at most 110 kN."""
     dialogue, low, high = Ends(protocol).dialogue, 0.0, 2 * CLIPS_N
     for _ in range(50):
         middle = 0.5 * (low + high)
@@ -219,5 +219,5 @@ def most_force(protocol: ByValue) -> float:
 
 
 def shapes(frames: Sequence[Frame], *, named: bool) -> Counter[tuple[int, int, int]]:
-    """Number of frames of each shape; not `named`: of any identifier."""
+    """Number of frames of each (identifier, data length, flags); without `named` the identifier is 0."""
     return Counter((frame.id if named else 0, len(frame.data), frame.flags) for frame in frames)

@@ -1,4 +1,4 @@
-"""Messages of six emulated drives as values that can be compared; `plant_fmu.drives.codec` has the records."""
+"""Messages of six emulated drives as comparable values; `plant_fmu.drives.codec` has the records."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Sync(NamedTuple):
 
 
 class DeviceCommand(NamedTuple):
-    """Command: one force, N, for each of `legs`."""
+    """Command to drives: mode, and one force, N, > 0 extends, for each of `legs`."""
 
     legs: tuple[int, ...]
     mode: int
@@ -38,13 +38,13 @@ class UnwatchedCommand(DeviceCommand):
 
 
 class Alive(NamedTuple):
-    """Message that resets these watchdogs."""
+    """Message that resets the watchdogs of the drives of `legs`."""
 
     legs: tuple[int, ...] = ALL_LEGS
 
 
 class Configure(NamedTuple):
-    """Set-up of one drive."""
+    """Message that sets the watchdog time and the reaction of one drive."""
 
     leg: int
     watchdog_s: float
@@ -58,7 +58,7 @@ class EmergencyStop(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """A drive's own part of the start-up dialogue."""
+    """Frame with which a drive answers in the start-up dialogue."""
 
     leg: int
     frame: Frame
@@ -66,14 +66,14 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class Rejected:
-    """A frame with our identifier and invalid content."""
+    """A frame with an identifier of the protocol and invalid content."""
 
 
 DeviceMessage = Sync | DeviceCommand | Alive | Configure | EmergencyStop | Answer | Rejected
 
 
 class Status(NamedTuple):
-    """State of a drive."""
+    """Status that a drive reports: state, fault code, its set-up if it has one; due: at a heartbeat."""
 
     leg: int
     state: int
@@ -83,7 +83,7 @@ class Status(NamedTuple):
 
 
 def message_of(record: Any) -> DeviceMessage:
-    """Element of MESSAGE as a value."""
+    """Message to the drives as a value that can be compared, from a record of MESSAGE."""
     kind, mode, counter, count, at, force = record.tolist()
     legs = tuple(at[:count])
     match kind:
@@ -104,7 +104,7 @@ def message_of(record: Any) -> DeviceMessage:
 
 
 def hear(end: DrivesEnd, frame: Frame) -> tuple[DeviceMessage, ...]:
-    """Messages to the drives in a frame."""
+    """Messages that the drives' end decodes from a frame."""
     return tuple(message_of(each) for each in end.hear(frame))
 
 
@@ -121,7 +121,7 @@ def reply(end: DrivesEnd, sync: Sync, reading: Any) -> list[tuple[int, Frame]]:
 
 
 def announce(end: DrivesEnd, status: Status) -> tuple[Frame, ...]:
-    """Frames that report the state of a drive."""
+    """Frames in which the drives' end reports the status of one drive."""
     leg, state, fault, holds, due = status
     held = (-1, 0) if holds is None else (round(holds.watchdog_s * 1e9), int(holds.reaction))
     into = np.zeros(ends.MOST_MESSAGES, FRAME)

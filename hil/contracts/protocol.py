@@ -38,13 +38,13 @@ from plant_fmu.faults.kinds import DriveSilence, FramesLoss
 
 
 class ProtocolContract:
-    """Contract suite: inherit it and set the attributes below."""
+    """Contract suite of a drive protocol: inherit it and set the attributes of this class."""
 
     RESOLUTION: tuple[float, float, float | None, float]
     """Resolution of length m, rate m/s, force N in the feedback (None: no force) and force in the command.
     Twice the step if a codec truncates."""
     READS_RATES = True
-    """False for a protocol that computes rates from lengths, which are constant here."""
+    """False for a protocol that computes rates from lengths: the lengths are constant in these tests."""
     SETS_WATCHDOG = True
     """True if the dialogue, or each command, sets the drive's own watchdog."""
     TELLS_BOOT = True

@@ -1,6 +1,6 @@
 """Contract of every drive protocol under faults: field limits, broken frames, power, silence.
 
-The test class of a family inherits `TroubleContract` and sets its differences.
+The test class of a family inherits `TroubleContract` and sets the attributes in which it differs.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
 
 EXAMPLES = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-"""Settings of a property test; a busy machine is not a failure."""
+"""Settings of a property test, without a deadline, so that a busy machine is not a failure."""
 
 
 LONG_SEEDS = [pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 12)]
 
 
 class TroubleContract(ProtocolContract):
-    """Contract suite: inherit it and set the differences."""
+    """Contract suite of a drive protocol under faults: inherit it and set what differs from the defaults."""
 
     LENGTHS: tuple[float, float]
     """Smallest and largest length in the feedback, m."""
     SPEED: float
     """Largest rate in the feedback, m/s, in both directions."""
     RELATIVE = 1e-12
-    """Relative resolution of these values; 6e-8 for single precision."""
+    """Relative resolution of lengths, rates and forces; 6e-8 for single precision."""
     ENDS = True
     """True if values beyond the field saturate or give no reading; False for single precision, which has
     no end."""
@@ -70,14 +70,14 @@ class TroubleContract(ProtocolContract):
     BEATS: str | None = None
     """Purpose of the drive's own heartbeat: `state`, `set-up` or `nothing`; None without heartbeat."""
     OTHER = 0x40
-    """Bit of an identifier that makes the frame foreign."""
+    """Bit of a CAN identifier whose inversion makes a frame foreign to the protocol."""
 
     def beat_ids(self, protocol: Family) -> set[int]:
-        """Identifiers of heartbeats."""
+        """CAN identifiers of the drives' heartbeats."""
         return set()
 
     def ids_of(self, protocol: Family, leg: int) -> set[int]:
-        """Values of `awaited` for the feedback of a leg."""
+        """Keys by which `awaited` recognises the cyclic feedback frames of a leg."""
         cyclic = protocol.traits.cyclic_frames
         return {protocol.awaited(frame) for frame in cyclic if protocol.sender(frame) == leg}
 

@@ -1,4 +1,4 @@
-"""Control laws: one per file, each an entry point of the group `hil.laws`."""
+"""Control laws, one per file; each is an entry point of the group `hil.laws`."""
 
 from typing import TYPE_CHECKING, Annotated, Union
 

@@ -21,16 +21,16 @@ from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 RotationError = Literal["shortest_turn", "vector_difference"]
 GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("vector_difference", "<i8")])
-"""Diagonals of the gains; rotation error: 1 vector difference, 0 shortest turn."""
+"""Layout of the gains: diagonals; 1: rotation error by vector difference, 0: by shortest turn."""
 
 
 class CartesianPDSettings(LawSettings):
-    """PD on position and rotation of the platform; forward kinematics gives the pose."""
+    """PD control of the platform's position and rotation; forward kinematics gives the measured pose."""
 
     uncertified = "its energy function decreases only for a reference at rest; in motion it may grow"
     law: Literal["cartesian_pd"]
     kp_position_N_m: Positive | ThreePositive
-    """Each gain: one number for all three axes of the base frame, or one per axis."""
+    """Gains: one number for all three axes of the base frame, or one per axis."""
     kv_position_N_s_m: Positive | ThreePositive
     kp_rotation_N_m_rad: Positive | ThreePositive
     kv_rotation_N_m_s_rad: Positive | ThreePositive
@@ -41,30 +41,30 @@ class CartesianPDSettings(LawSettings):
 
     @property
     def believed(self) -> ModelSettings | None:
-        """The law's model of the robot."""
+        """Settings of the model for gravity compensation; None without compensation."""
         return self.model
 
     def gains(self) -> tuple[Array, Array]:
-        """Diagonals K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad, position first."""
+        """Diagonal gains K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad, position first."""
         return (
             per_axis(self.kp_position_N_m, self.kp_rotation_N_m_rad),
             per_axis(self.kv_position_N_s_m, self.kv_rotation_N_m_s_rad),
         )
 
     def build(self, context: LawContext) -> CartesianPD:
-        """Build the law."""
+        """Build the control law from these settings."""
         model = None if self.model is None else context.model(self.model)
         return CartesianPD(*self.gains(), model, self.rotation_error)
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
-        """Natural frequency, rad/s, and damping ratio of the heaviest translation at the largest gains."""
+        """Natural frequency, rad/s, and damping ratio of a translation of `mass` kg at the largest gains."""
         del leg_mass
         wn = sqrt(np.max(self.kp_position_N_m) / mass)
         return wn, float(np.max(self.kv_position_N_s_m) / (2.0 * wn * mass))
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Gains that give the heaviest translation and the heaviest rotation wn and zeta."""
+        """Gains that give the heaviest translation and rotation the desired wn and zeta."""
         stiffness, damping = loop.wn**2, 2.0 * loop.zeta * loop.wn
         return {
             "kp_position_N_m": loop.mass * stiffness,
@@ -98,9 +98,9 @@ class CartesianPD(PointedLaw):
     """tau = J^-T [K_p e + K_v (twist_d - twist) + G], e = [p_d - p; e_R], G only with a model.
 
     K_p and K_v are diagonal in the base frame. ``shortest_turn``: e_R = log(R_d R^T), the rotation vector
-    (base frame) of the shortest turn from R to R_d. It uses no Euler angles and is singular only at half a
-    turn between R and R_d. For a reference at rest, an exact G and one K_p for all three rotations, V =
-    kinetic energy + e.K_p e / 2 decreases by twist.K_v twist (Bullo and Murray, 1995). With three different
+    (base frame) of the shortest turn from R to R_d. This error needs no Euler angles and is singular only at
+    half a turn between R and R_d. For a reference at rest, an exact G and one K_p for all three rotations, V
+    = kinetic energy + e.K_p e / 2 decreases by twist.K_v twist (Bullo and Murray, 1995). With three different
     K_p this holds to first order in e.
 
     ``vector_difference``, for comparison: the often printed e_R = phi_d - phi, phi the rotation vector of the
@@ -115,5 +115,5 @@ class CartesianPD(PointedLaw):
     fill = _fill
 
     def __init__(self, K_p: Array, K_v: Array, model: Model | None, rotation_error: RotationError) -> None:
-        """Diagonals K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad, position first."""
+        """Law with diagonal gains K_p (6,) N/m, N m/rad, K_v (6,) N s/m, N m s/rad, position first."""
         super().__init__(model, K_p, K_v, rotation_error == "vector_difference")

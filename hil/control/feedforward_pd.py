@@ -16,11 +16,11 @@ from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 GAINS = np.dtype([*PD_GAINS.descr, ("loaded", "<i8")])
-"""Gains of the PD; 1 if the feed-forward includes the external wrench."""
+"""Layout of the gains: those of the PD; loaded: 1 if the feed-forward includes the external wrench."""
 
 
 class FeedforwardPDSettings(LegGains, ModelBasedSettings):
-    """Inverse dynamics along the reference, and PD on leg lengths."""
+    """Feed-forward by inverse dynamics along the reference, and PD control of the leg lengths."""
 
     uncertified = "its error dynamics J^-T M J^-1 E'' + K_v E' + K_p E = 0 change with the pose"
     law: Literal["feedforward_pd"]
@@ -30,7 +30,7 @@ class FeedforwardPDSettings(LegGains, ModelBasedSettings):
     """
 
     def build(self, context: LawContext) -> FeedforwardPD:
-        """Build the law."""
+        """Build the control law from these settings."""
         pd = JointPD(per_leg(self.kp_N_m), per_leg(self.kv_N_s_m), np.zeros(6))
         return FeedforwardPD(pd, context.model(self.model), loaded=self.evaluation == "online")
 
@@ -60,5 +60,5 @@ class FeedforwardPD(PointedLaw):
     fill = _fill
 
     def __init__(self, pd: JointPD, model: Model, *, loaded: bool) -> None:
-        """Combine a PD with a model; `loaded`: include the external wrench in tau_ff."""
+        """Law from a PD and a model; with `loaded` the feed-forward tau_ff includes the external wrench."""
         super().__init__(model, *pd.gains.item(), loaded)

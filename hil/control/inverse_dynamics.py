@@ -21,22 +21,22 @@ from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, joint_idc_kernel
 
 GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6), ("loaded", "<i8")])
-"""Diagonals of the gains; 1 if the law compensates the external wrench."""
+"""Layout of the gains: diagonals; loaded: 1 if the law compensates the external wrench."""
 
 
 class InverseDynamicsSettings(ErrorGains, ModelBasedSettings):
-    """Exact inverse dynamics in joint space; the model variants give approximate ones."""
+    """Inverse dynamics control in joint space; exact with model variant `full`, else approximate."""
 
     law: Literal["inverse_dynamics"]
 
     def build(self, context: LawContext) -> JointInverseDynamics:
-        """Build the law."""
+        """Build the control law from these settings."""
         return JointInverseDynamics(context.model(self.model), *self.gains())
 
 
 @helper
 def linearise(constants: int, code: int, tick: Any, ddq_star: Array, wrench: Array) -> None:
-    """Fill tau_law for leg accelerations ddq* (6,) m/s^2 by the model variant; NaN where J is singular."""
+    """Fill tau_law (6,) N of a tick so that the model's legs accelerate by ddq*; NaN where J is singular."""
     c = reals_at(constants, SIZE)
     tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, wrench)
 
@@ -70,7 +70,7 @@ class JointInverseDynamics(PointedLaw):
 
 
 def linearising_tau(model: Model, tick: Record, ddq_star: Array) -> Array:
-    """Leg forces (6,) N for accelerations ddq* (6,) m/s^2 by the model variant; NaN where J is singular."""
+    """Leg forces (6,) N that accelerate the model's legs by ddq* (6,) m/s^2; NaN where J is singular."""
     return joint_idc_kernel(
         model.constants, model.code, tick["p"], tick["R"], tick["twist"], tick["J"], ddq_star, tick["wrench"]
     )

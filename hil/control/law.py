@@ -1,8 +1,8 @@
 """The interface of a control law, and the base classes of its settings.
 
-A law computes leg forces from estimate and reference of a tick. It is independent of modes, limits, bus and
-clock: the cycle adds the bumpless entry, and safety limits the force. Call from compiled code:
-`hil.control.pointed_law`.
+A law computes leg forces from estimate and reference of a tick. A law is independent of modes, limits, bus
+and clock: the control cycle starts it without a jump of force, and safety rules limit the force. Compiled
+code: `hil.control.pointed_law`.
 """
 
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
@@ -23,7 +23,7 @@ from hil.robot.geometry import Platform
 
 
 class LawContext(NamedTuple):
-    """Data for building a law, in addition to its own settings."""
+    """What a control law is built from in addition to its own settings: robot and sampling period."""
 
     platform: Platform
     leg_spin: LegSpin
@@ -33,26 +33,27 @@ class LawContext(NamedTuple):
     """Linear controller read from a file, for the law that runs one."""
 
     def model(self, settings: ModelSettings) -> Model:
-        """Build the model of a law's settings."""
+        """Model of this robot with the variant, friction and scaling in a law's `model` settings."""
         return build_model(settings, self.platform, self.leg_spin)
 
 
 class Law(Protocol):
-    """One control law.
+    """Control law: computes leg forces from the estimate and the reference of a tick.
 
     Contract, checked by the suite in ``tests/hil/control``: for finite input the effort is finite, or NaN
-    where the law is undefined (singular J); safety turns NaN into a latched fault. The law never raises.
+    where the law is undefined (singular J); the controller faults on NaN. The law never raises.
     With zero error and zero integrals it is pure feed-forward. `reset` followed by the same inputs
     repeats to the bit. Integrals do not wind up while a limit reduces the force.
     """
 
     def reset(self) -> None:
-        """Set the law's state to its initial value."""
+        """Set the state of the law, such as integrals, to its initial value."""
 
     def effort(self, tick: Record) -> None:
-        """Fill tau_law (6,) N of a tick, > 0 extends, from its estimate, reference and shortfall.
+        """Fill tau_law (6,) N of a tick, > 0 extends, from the tick's estimate, reference and shortfall.
 
-        With delay compensation, estimate and reference are predicted for the instant at which the force acts.
+        The shortfall (6,) N is the force sent minus the force requested, in the last tick. With delay
+        compensation, estimate and reference are predicted for the instant at which the force acts.
         """
 
 
@@ -64,25 +65,25 @@ class ErrorDynamics(NamedTuple):
     """
 
     K_P: Array
-    """(6,) 1/s^2."""
+    """(6,) 1/s^2, gain of the error."""
     K_D: Array
-    """(6,) 1/s."""
+    """(6,) 1/s, gain of the error's rate."""
     pose: bool = False
     """True: e is the pose error; False: leg errors."""
     slope: Array | float = 0.0
     steepness: float = 0.0
-    """1/s; 0: the law has no boundary layer."""
+    """1/s, slope of the correction inside the boundary layer; 0: the law has no boundary layer."""
     layer: float = 1.0
-    """m/s."""
+    """m/s, width of the boundary layer."""
     shared: bool = False
-    """True: one layer for the norm over all legs."""
+    """True: one boundary layer for the norm over all legs; False: one for each leg."""
 
 
 class DesiredLoop(NamedTuple):
-    """Input for default gains: the desired closed loop, and the robot's inertia at home."""
+    """Input for computing default gains: the desired closed loop, and the robot's inertia at home."""
 
     wn: float
-    """rad/s."""
+    """rad/s, natural frequency."""
     zeta: float
     leg_mass: float
     """kg, the largest eigenvalue of J^-T M J^-1: effective mass of the worst motion of all legs."""
@@ -91,14 +92,14 @@ class DesiredLoop(NamedTuple):
     inertia: float
     """kg m^2, the largest eigenvalue of M among rotations."""
     force_limit: float
-    """N, of one leg."""
+    """N, largest force of one leg."""
 
 
 class LawSettings(Section):
     """Section `controller` of one law, and properties of the law for other modules.
 
     A law's settings derive from this class, add keys, and override the defaults. The defaults describe a law
-    without a model and without a proof.
+    without a model and without a known Lyapunov function.
     """
 
     law: str
@@ -108,17 +109,17 @@ class LawSettings(Section):
     compensates_wrench: ClassVar[bool] = True
     """For a law that linearises: True if its forces compensate the external wrench."""
     uncertified: ClassVar[str] = "its error dynamics are unknown"
-    """Reason why no Lyapunov function with constant gains is known."""
+    """Reason why no Lyapunov function with constant gains is known for the law."""
     tuning: ClassVar[tuple[str, str]] = ("wn_rad_s", "lower it")
     """Keys that set the gains, and the advice for a phase margin that is too small."""
 
     def build(self, context: LawContext) -> Law:
-        """Build the law. Raises ConfigurationError where it cannot serve the context."""
+        """Build the control law. Raises ConfigurationError if it cannot run on this robot or at this rate."""
         raise NotImplementedError
 
     @property
     def believed(self) -> ModelSettings | None:
-        """Settings of the law's model of the robot; None without a model."""
+        """Settings of the robot model that the law computes with; None for a law without a model."""
         return None
 
     @property
@@ -127,11 +128,11 @@ class LawSettings(Section):
         return None
 
     def error_dynamics(self) -> ErrorDynamics | str:
-        """Error dynamics under an exact model, or the reason why there are none."""
+        """Error dynamics under an exact model, or the reason why no linear error dynamics are known."""
         return self.uncertified
 
     def described(self) -> list[str]:
-        """Lines for `hil check`: figures derived from the settings."""
+        """Lines that `hil check` prints: figures derived from the settings, such as a bound or a layer."""
         return []
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float] | None:
@@ -144,13 +145,13 @@ class LawSettings(Section):
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Keys, other than `model`, that give the desired loop, for `hil compare`."""
+        """Configuration keys, except `model`, with which `hil compare` gives this law the desired loop."""
         del loop
         return {}
 
 
 class ModelBasedSettings(LawSettings):
-    """A law with a model of the robot, optionally with delay compensation."""
+    """Settings of a law with a model of the robot, optionally with delay compensation."""
 
     model: ModelSettings = ModelSettings()
     delay_compensation: DelayCompensation | None = None
@@ -158,7 +159,7 @@ class ModelBasedSettings(LawSettings):
 
     @property
     def believed(self) -> ModelSettings:
-        """Settings of the law's model of the robot."""
+        """Settings of the robot model that the law computes with."""
         return self.model
 
     @property
@@ -168,41 +169,40 @@ class ModelBasedSettings(LawSettings):
 
 
 class ErrorGains(LawSettings):
-    """Error dynamics e'' + K_D e' + K_P e = 0 of a law that linearises the robot."""
+    """Settings of a law that linearises the robot: its error dynamics e'' + K_D e' + K_P e = 0."""
 
     axes: ClassVar[AxisSpace] = "joint"
     wn_rad_s: Positive | SixPositive
-    """Natural frequency, K_P = wn^2; one for all, or one per leg (in pose space one each for x, y, z and the
-    rotation about each).
-    """
+    """Natural frequency, K_P = wn^2: one for all axes, or one each (legs, or x, y, z and rotations about
+    them)."""
     damping_ratio: Positive = 1.0
-    """K_D = 2 zeta wn."""
+    """Damping ratio zeta, K_D = 2 zeta wn."""
 
     def gains(self) -> tuple[Array, Array]:
-        """Gains K_P (6,) 1/s^2 and K_D (6,) 1/s."""
+        """Gains K_P (6,) 1/s^2 and K_D (6,) 1/s of the error dynamics."""
         w_n = per_leg(self.wn_rad_s)
         return w_n**2, 2.0 * self.damping_ratio * w_n
 
     def error_dynamics(self) -> ErrorDynamics | str:
-        """Error dynamics under an exact model."""
+        """Error dynamics e'' + K_D e' + K_P e = d under an exact model, of leg errors or pose errors."""
         return ErrorDynamics(*self.gains(), pose=self.axes == "pose")
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
-        """Largest natural frequency wn, rad/s, and the damping ratio."""
+        """Largest natural frequency wn, rad/s, of the error dynamics, and their damping ratio."""
         del leg_mass, mass
         return float(np.max(self.wn_rad_s)), self.damping_ratio
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Natural frequency and damping ratio of the desired loop."""
+        """Keys of these settings that give the natural frequency and damping ratio of the desired loop."""
         return {"wn_rad_s": loop.wn, "damping_ratio": loop.zeta}
 
 
 def per_leg(gain: float | list[float]) -> Array:
-    """Gains of the legs (6,); one number applies to all legs."""
+    """Gains of the legs (6,) in the unit given; a single number applies to all legs."""
     return np.broadcast_to(np.asarray(gain, float), (6,)).copy()
 
 
 def per_axis(position: float | list[float], rotation: float | list[float]) -> Array:
-    """Gains of position and rotation (6,); one number applies to all three axes."""
+    """Gains (6,) of position, then rotation, in the units given; one number applies to all three axes."""
     return np.concatenate([np.broadcast_to(np.asarray(gain, float), (3,)) for gain in (position, rotation)])

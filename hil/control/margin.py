@@ -9,7 +9,7 @@ from math import atan, degrees, inf, isinf, sqrt
 
 
 def cross_over(K_P: float, K_D: float) -> float:
-    """Crossover frequency w_c in rad/s, |K_D j w_c + K_P| = w_c^2; inf for infinite gains."""
+    """Crossover frequency w_c, rad/s, where (K_D s + K_P) / s^2 has gain 1; inf for infinite gains."""
     if isinf(K_D):
         return inf
     return sqrt((K_D**2 + sqrt(K_D**4 + 4.0 * K_P**2)) / 2.0)

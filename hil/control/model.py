@@ -1,4 +1,4 @@
-"""Build the controller's model of the robot from the `model` settings."""
+"""Builds the controller's model of the robot from the `model` settings of a law."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from hil.robot.geometry import Platform
 
 
 def build_model(settings: ModelSettings, platform: Platform, leg_spin: LegSpin) -> Model:
-    """Model of the robot with the parameters of a law's settings."""
+    """Model of the robot with the variant, frozen pose, friction and scaling of a law's `model` settings."""
     frozen = settings.frozen_at
     return Model(
         platform,

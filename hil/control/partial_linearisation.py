@@ -1,4 +1,4 @@
-"""Inverse dynamics control without H and the external load (control notes, section 6.1.3 B)."""
+"""Inverse dynamics without centripetal forces H and external load (control notes, section 6.1.3 B)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hil.control.law import ErrorGains, LawContext
 
 
 class PartialLinearisationSettings(ErrorGains):
-    """Inverse dynamics in joint space without H and external load."""
+    """Inverse dynamics in joint space, without centripetal and gyroscopic forces H and external load."""
 
     compensates_wrench = False
     law: Literal["partial_linearisation"]
@@ -18,11 +18,11 @@ class PartialLinearisationSettings(ErrorGains):
 
     @property
     def believed(self) -> ModelSettings:
-        """Settings of the law's model of the robot, always without H."""
+        """Settings of the law's robot model, always without centripetal and gyroscopic forces H."""
         return ModelSettings(variant="no_H", **dict(self.model))
 
     def build(self, context: LawContext) -> PartialLinearisation:
-        """Build the law."""
+        """Build the control law from these settings."""
         return PartialLinearisation(context.model(self.believed), *self.gains())
 
 

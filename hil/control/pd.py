@@ -18,21 +18,21 @@ GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("m", "<f8", 6)])
 
 
 class LegGains(LawSettings):
-    """Gains of a PD on leg lengths."""
+    """Settings: gains of PD control on leg lengths."""
 
     kp_N_m: Positive | SixPositive
-    """One for all legs, or one per leg."""
+    """Gain: one for all legs, or one per leg."""
     kv_N_s_m: Positive | SixPositive
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
-        """Natural frequency, rad/s, and damping ratio of the heaviest leg motion at the largest gains."""
+        """Natural frequency, rad/s, and damping ratio of a leg with `leg_mass`, kg, at the largest gains."""
         del mass
         wn = sqrt(np.max(self.kp_N_m) / leg_mass)
         return wn, float(np.max(self.kv_N_s_m) / (2.0 * wn * leg_mass))
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Gains of M E'' + K_v E' + K_p E = 0 that give the heaviest motion wn and zeta.
+        """Gains of M E'' + K_v E' + K_p E = 0 with which the heaviest motion has the desired wn and zeta.
 
         All other motions are faster and better damped.
         """
@@ -40,7 +40,7 @@ class LegGains(LawSettings):
 
 
 class DriveGains(LegGains):
-    """PD on leg lengths with acceleration feed-forward of each drive alone."""
+    """Settings of PD control on leg lengths, with acceleration feed-forward of each drive alone."""
 
     feedforward_mass_kg: NonNegative | SixNonNegative = 0.0
     """m: mass that each drive accelerates along its leg, for drives with dominant gears: rotary inertia times
@@ -48,7 +48,7 @@ class DriveGains(LegGains):
     """
 
     def pd(self) -> JointPD:
-        """PD with these gains."""
+        """PD law on leg lengths with these gains."""
         return JointPD(per_leg(self.kp_N_m), per_leg(self.kv_N_s_m), per_leg(self.feedforward_mass_kg))
 
 
@@ -59,14 +59,14 @@ class PDSettings(DriveGains):
     law: Literal["pd"]
 
     def build(self, context: LawContext) -> JointPD:
-        """Build the law; it needs no model."""
+        """Build the control law from these settings; it needs no model of the robot."""
         del context
         return self.pd()
 
 
 @helper
 def pd_force(k: Any, tick: Any, i: int) -> float:
-    """Force of leg i, N: K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d."""
+    """PD force of leg i, N, > 0 extends: K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d."""
     e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
     return float(k.K_p[i] * e + k.K_v[i] * de + k.m[i] * tick.ddq_d[i])
 
@@ -91,5 +91,5 @@ class JointPD(PointedLaw):
     fill = _fill
 
     def __init__(self, K_p: Array, K_v: Array, m: Array) -> None:
-        """Diagonals K_p (6,) N/m, K_v (6,) N s/m and m (6,) kg."""
+        """PD law with the diagonals K_p (6,) N/m, K_v (6,) N s/m and m (6,) kg."""
         super().__init__(None, K_p, K_v, m)

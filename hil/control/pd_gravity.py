@@ -25,7 +25,7 @@ class PDGravitySettings(DriveGains, ModelBasedSettings):
     law: Literal["pd_gravity"]
 
     def build(self, context: LawContext) -> JointPDGravity:
-        """Build the law."""
+        """Build the control law from these settings."""
         return JointPDGravity(self.pd(), context.model(self.model))
 
 

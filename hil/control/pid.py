@@ -16,7 +16,7 @@ from hil.control.pd import DriveGains, JointPD, pd_force
 from hil.control.pointed_law import SEEN, PointedLaw
 
 GAINS = np.dtype([*PD_GAINS.descr, *((name, "<f8", 6) for name in ("K_i_T", "share", "xi_max", "xi"))])
-"""Gains of the PD; K_i times the period; share of the shortfall added to xi per call; largest xi; xi."""
+"""Layout: gains of the PD; K_i times the period; share of the shortfall for xi; limit of xi; xi."""
 
 
 class PIDSettings(DriveGains):
@@ -32,7 +32,7 @@ class PIDSettings(DriveGains):
     """Time constant of the back-calculation while a limit reduces the force; default sqrt(kv / ki)."""
 
     def build(self, context: LawContext) -> JointPID:
-        """Build the law; it needs no model."""
+        """Build the control law from these settings; it needs no model of the robot."""
         K_i, xi_max = per_leg(self.ki_N_m_s), per_leg(self.integral_limit_N)
         return JointPID(self.pd(), K_i, xi_max, context.period_s, self.tracking_time_s)
 
@@ -48,7 +48,7 @@ class PIDSettings(DriveGains):
 
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, _constants: int, _code: int, tick: Any) -> int:
-    """Advance xi by one period and add it to the PD's force."""
+    """Advance the integral force xi by one period and add it to the PD's force."""
     for i in range(6):
         value = k.xi[i] + k.K_i_T[i] * (tick.q_d[i] - tick.q[i]) + k.share[i] * tick.shortfall[i]
         k.xi[i] = min(max(value, -k.xi_max[i]), k.xi_max[i])
@@ -75,17 +75,17 @@ class JointPID(PointedLaw):
     def __init__(
         self, pd: JointPD, K_i: Array, xi_max: Array, period_s: float, T_t: float | None = None
     ) -> None:
-        """Integral gain K_i (6,) N/(m s) and limit xi_max (6,) N; T_t in s."""
+        """PID law from a PD law, integral gain K_i (6,) N/(m s), limit xi_max (6,) N, time constant T_t s."""
         tracking = np.sqrt(pd.gains["K_v"] / K_i) if T_t is None else np.full(6, T_t)
         share = np.minimum(period_s / tracking, 1.0)
         super().__init__(None, *pd.gains.item(), period_s * K_i, share, xi_max)
 
     def reset(self) -> None:
-        """Set the integral to zero."""
+        """Set the integral force xi (6,) to zero."""
         self.xi[:] = 0.0
 
     @property
     def xi(self) -> Array:
-        """Integral force (6,) N, a view of the law's record."""
+        """Integral force (6,) N; a view of the law's memory, which changes with it."""
         integral: Array = self.gains["xi"]
         return integral

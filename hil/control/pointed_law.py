@@ -22,16 +22,16 @@ from hil.robot.dynamics import Model
 LAW_COLUMNS = part("estimate", "reference", "effort")
 """Columns of a tick that a law reads."""
 SEEN = record(TICK, *LAW_COLUMNS)
-"""Last argument of a law's function, after gains, address of the model's constants or 0, and variant."""
+"""Type of the tick, last argument of a law's function after gains, address of model constants, variant."""
 _seen_at: Any = record_at(SEEN)
 
 
 @helper
 def ask(law: int, gains: int, constants: int, code: int, tick: int) -> None:
-    """Call a law to fill tau_law of the tick at an address; nan where the law is undefined or fails.
+    """Call a law's function to fill tau_law of a tick; nan where the law is undefined or fails.
 
-    tau_law is nan before the call: Ctrl-C at a callback's first instruction ends the callback without a
-    status.
+    All arguments except `code` are addresses. tau_law is nan before the call: Ctrl-C at a callback's first
+    instruction ends the callback without a status.
     """
     seen = _seen_at(tick)
     seen.tau_law[:] = np.nan
@@ -48,13 +48,13 @@ class Pointer(NamedTuple):
     constants: int
     """Address of the model's constants (SIZE,); 0 without a model."""
     code: int
-    """The model's variant."""
+    """Variant of the model, as a number."""
     keeps: PointedLaw | PythonLaw
     """Owner of the memory at these addresses; its `raised` is the law's exception."""
 
 
 def gains(dtype: np.dtype[np.void], *values: Array | float) -> Record:
-    """Gains of a law as a record of `dtype`, in the order of its fields; remaining fields are zero."""
+    """Record of `dtype` with a law's gains in the order of its fields; remaining fields are zero."""
     filled = np.zeros((), dtype)
     for name, value in zip((dtype.names or ())[: len(values)], values, strict=True):
         filled[name] = value
@@ -70,12 +70,12 @@ class PointedLaw:
 
     dtype: ClassVar[np.dtype[np.void]]
     fill: ClassVar[Pointed]
-    """Fills tau_law; NaN where the law is undefined."""
+    """Function that fills tau_law (6,) N of a tick; NaN where the law is undefined."""
     raised: None = None
     """Compiled laws raise no exception."""
 
     def __init__(self, model: Model | None, *values: Array | float) -> None:
-        """Store the gains, given in the order of their record."""
+        """Store the gains, given in the order of the fields of `dtype`."""
         self.gains = gains(self.dtype, *values)
         self._model = model
         constants, code = (0, 0) if model is None else (data_at(model.constants), model.code)
@@ -83,21 +83,21 @@ class PointedLaw:
 
     @property
     def model(self) -> Model:
-        """The law's model of the robot. Raises AttributeError for a law without a model."""
+        """Robot model that the law computes with. Raises AttributeError for a law without a model."""
         if self._model is None:
             raise AttributeError(f"{type(self).__name__} has no model")
         return self._model
 
     @property
     def pointer(self) -> Pointer:
-        """Address of the function and its first three arguments."""
+        """Address of the law's function and its first three arguments, for compiled code."""
         return Pointer(self.fill.address, *self._called_with, self)
 
     def reset(self) -> None:
         """Do nothing: the law has no state."""
 
     def effort(self, tick: Record) -> None:
-        """Fill tau_law, as compiled code does."""
+        """Fill tau_law (6,) N of the tick by the same function that compiled code calls."""
         self.fill(*self._called_with, tick)
 
 
@@ -124,15 +124,15 @@ class PythonLaw:
 
     @property
     def pointer(self) -> Pointer:
-        """Address of the callback; gains, constants and variant are 0."""
+        """Address of the callback, for compiled code; gains, constants and variant are 0."""
         return Pointer(self._address, 0, 0, 0, self)
 
     def reset(self) -> None:
-        """Reset the law."""
+        """Set the state of the wrapped law to its initial value."""
         self.law.reset()
 
     def effort(self, tick: Record) -> None:
-        """Fill tau_law as compiled code does; an earlier exception stays if this one succeeds."""
+        """Fill tau_law (6,) N of the tick; an earlier exception stays stored if this call succeeds."""
         before = self.raised
         tick["tau_law"] = nan
         self._called(0, 0, 0, data_at(tick))
@@ -153,7 +153,7 @@ class PythonLaw:
 
 
 def called_by_pointer(law: Law) -> Pointer:
-    """Pointer to a law: its compiled function, or a callback for an `effort` in Python."""
+    """Pointer with which compiled code calls a law: its compiled function, or a callback of its `effort`."""
     if isinstance(law, PointedLaw) and getattr(law.effort, "__func__", None) is _effort:
         return law.pointer
     return PythonLaw(law).pointer

@@ -19,19 +19,19 @@ GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6)])
 
 
 class PoseInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
-    """Exact inverse dynamics in pose space."""
+    """Inverse dynamics control in pose space; exact with model variant `full`."""
 
     axes = "pose"
     law: Literal["pose_inverse_dynamics"]
 
     def build(self, context: LawContext) -> PoseInverseDynamics:
-        """Build the law."""
+        """Build the control law from these settings."""
         return PoseInverseDynamics(context.model(self.model), *self.gains())
 
 
 @kernel(VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR)
 def pose_errors(p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_d: Array) -> Array:
-    """Errors [e; de] (2, 6) of `PoseInverseDynamics`: e = [p_d - p; r] m, rad, de its derivative."""
+    """Pose errors [e; de] (2, 6): e = [p_d - p; r] m, rad, r = log(R_d R^T); de = de/dt m/s, rad/s."""
     r = relative_rotation(R, R_d)
     still = np.zeros(3)
     E, _, _ = rotation_motion_kernel(r, still, still)
@@ -47,7 +47,7 @@ def pose_errors(p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_
 
 @kernel(MATRIX, VECTOR, VECTOR, VECTOR, VECTOR)
 def demanded_dtwist(errors: Array, u: Array, twist: Array, twist_d: Array, dtwist_d: Array) -> Array:
-    """Acceleration dtwist* (6,) m/s^2, rad/s^2 of `PoseInverseDynamics`; the errors then obey e'' = -u."""
+    """Acceleration dtwist* (6,) m/s^2, rad/s^2 with which the pose errors [e; de] (2, 6) obey e'' = -u."""
     r, dr = errors[0, 3:].copy(), errors[1, 3:].copy()
     E, _, dOmega = rotation_motion_kernel(r, dr, -u[3:])
     E_omega = rotate(E, at(twist, 3))
@@ -75,7 +75,7 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
 class PoseInverseDynamics(PointedLaw):
     """tau = J^-T (M dtwist* + H + G - wrench) + friction, all at the measured pose.
 
-    With an exact model dtwist = dtwist*. It is chosen so that e = [p_d - p; r], r = log(R_d R^T) the
+    With an exact model dtwist = dtwist*. dtwist* is chosen so that e = [p_d - p; r], r = log(R_d R^T) the
     rotation vector of the shortest turn from R to R_d (base frame), obeys e'' + K_D e' + K_P e = 0 in
     all six components, exactly and for all turns below half a turn:
 
@@ -84,8 +84,8 @@ class PoseInverseDynamics(PointedLaw):
       L = d Omega / d r' (``hil.mathematics.rotations.rotation_vector_rate``), and
       domega* = E^T (domega_d - Omega x E omega - Omega'*), Omega'* the Omega' of r'' = -K_D r' - K_P r.
 
-    Often r' is replaced by omega_d - omega. This is not the derivative of r, not even to first order, where
-    r' = omega_d - omega - r x omega. The error dynamics of that law change with the speed.
+    Often r' is replaced by omega_d - omega. The difference is not the derivative of r, not even to first
+    order, where r' = omega_d - omega - r x omega. The error dynamics of that law change with the speed.
 
     K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals, position first, axes of the base frame.
     """

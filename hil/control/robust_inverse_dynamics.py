@@ -53,16 +53,16 @@ class RobustInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
 
     @property
     def bound(self) -> float:
-        """rho, m/s^2: bound on the uncertainty of all six legs together."""
+        """Bound rho, m/s^2, on the norm of the model error over all six legs: sqrt(6) times that of a leg."""
         return sqrt(6.0) * self.uncertainty.bound()
 
     def build(self, context: LawContext) -> RobustInverseDynamics:
-        """Build the law."""
+        """Build the control law from these settings."""
         model = context.model(self.model)
         return RobustInverseDynamics(model, *self.gains(), self.bound, self.boundary_layer_m_s)
 
     def error_dynamics(self) -> ErrorDynamics:
-        """Error dynamics inside the boundary layer."""
+        """Linear error dynamics inside the boundary layer, and how the law saturates outside."""
         K_P, K_D = self.gains()
         slope, layer = K_D / 2.0, self.boundary_layer_m_s
         steepness = self.bound / layer if layer > 0.0 else inf
@@ -70,12 +70,12 @@ class RobustInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
         return ErrorDynamics(*gains, slope=slope, steepness=steepness, layer=layer, shared=True)
 
     def described(self) -> list[str]:
-        """Line for `hil check` with the bound and the layer."""
+        """Line that `hil check` prints: the uncertainty bound rho and the boundary layer."""
         return [f"bound rho {self.bound:.3g} m/s^2, boundary layer {self.boundary_layer_m_s:.3g} m/s"]
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Default bound on the disturbance, and a layer that does not make the loop faster."""
+        """Keys for the desired loop: default disturbance, a boundary layer that keeps the loop's speed."""
         return {
             **super().derived(loop),
             "uncertainty": {"disturbance_m_s2": ASSUMED_m_s2},

@@ -35,7 +35,7 @@ GAINS = np.dtype([("slope", "<f8"), ("k", "<f8"), ("phi", "<f8")])
 
 
 class SlidingModeSettings(ModelBasedSettings):
-    """Sliding mode on the leg lengths with a boundary layer, s = de + lambda e."""
+    """Sliding mode control of the leg lengths with a boundary layer; sliding variable s = de + lambda e."""
 
     axes = "joint"
     tuning = ("lambda_rad_s and boundary_layer_m_s", "reduce lambda, increase the layer,")
@@ -43,7 +43,7 @@ class SlidingModeSettings(ModelBasedSettings):
     lambda_rad_s: Positive
     """Slope of the sliding surface; on the surface an error decays as exp(-lambda t)."""
     uncertainty: UncertaintySettings
-    """The switching gain k is the bound of this uncertainty plus the reaching acceleration."""
+    """Model error; its bound plus the reaching acceleration is the switching gain k."""
     reaching_m_s2: Positive
     """Smallest rate at which s approaches the boundary layer under any allowed uncertainty."""
     boundary_layer_m_s: NonNegative | None = None
@@ -53,41 +53,41 @@ class SlidingModeSettings(ModelBasedSettings):
 
     @property
     def switching_gain(self) -> float:
-        """Switching gain k, m/s^2."""
+        """Switching gain k, m/s^2: bound of the uncertainty plus the reaching acceleration."""
         return self.uncertainty.bound(self.reaching_m_s2)
 
     @property
     def boundary_layer(self) -> float:
-        """Boundary layer phi, m/s."""
+        """Boundary layer phi, m/s, as configured or by default k / lambda."""
         phi = self.boundary_layer_m_s
         return self.switching_gain / self.lambda_rad_s if phi is None else phi
 
     def build(self, context: LawContext) -> SlidingMode:
-        """Build the law."""
+        """Build the control law from these settings."""
         model = context.model(self.model)
         return SlidingMode(model, self.lambda_rad_s, self.switching_gain, self.boundary_layer)
 
     def error_dynamics(self) -> ErrorDynamics:
-        """Error dynamics inside the boundary layer."""
+        """Linear error dynamics inside the boundary layer, and how the law saturates outside."""
         slope, phi = self.lambda_rad_s, self.boundary_layer
         steepness = self.switching_gain / phi if phi > 0.0 else inf
         gains = np.full(6, slope * steepness), np.full(6, slope + steepness)
         return ErrorDynamics(*gains, slope=slope, steepness=steepness, layer=phi)
 
     def described(self) -> list[str]:
-        """Line for `hil check` with gain, layer and the largest error inside the layer."""
+        """Line that `hil check` prints: switching gain, boundary layer, largest leg error inside."""
         phi = self.boundary_layer
         layer = f"boundary layer {phi:.3g} m/s: |e| <= {1e3 * phi / self.lambda_rad_s:.3g} mm"
         return [f"switching gain {self.switching_gain:.3g} m/s^2, {layer}"]
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
-        """Double pole at lambda: natural frequency lambda, rad/s, and damping ratio 1."""
+        """Natural frequency lambda, rad/s, and damping ratio 1 of the double pole at lambda."""
         del leg_mass, mass
         return self.lambda_rad_s, 1.0
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Default bound on the disturbance, and two poles at zeta wn inside the boundary layer."""
+        """Keys for the desired loop: default disturbance, two poles at zeta wn inside the boundary layer."""
         return {
             "lambda_rad_s": loop.zeta * loop.wn,
             "uncertainty": {"disturbance_m_s2": ASSUMED_m_s2},

@@ -13,10 +13,10 @@ a = J M^-1 J^T shortfall (legs) instead of u, and the state is updated as if u +
 
     x[k+1] = A x + B y + L (sat(u) - u) = (A - L C) x + (B - L D) y + L sat(u)
 
-It stays bounded if A - L C is stable, for any A. The map from force to acceleration is the inverse of the
-law's own linear part, by its own model at the measured pose. It is a full matrix: limiting one leg slows its
-neighbours, and their controllers must account for it. Axes of the pose have the error
-e = [p_d - p; log(R_d R^T)] of `hil.control.pose_inverse_dynamics`.
+The state stays bounded if A - L C is stable, for any A. The map from force to acceleration is the inverse of
+the law's own linear part, by its own model at the measured pose. The map is a full matrix: limiting one leg
+slows its neighbours, and their controllers must account for it. Axes of the pose have the error e = [p_d - p;
+log(R_d R^T)] of `hil.control.pose_inverse_dynamics`.
 
 No delay compensation: the controller was designed for an axis that includes the delay.
 """
@@ -44,7 +44,7 @@ from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, fill_jacobian, inverse_dynamics_kernel, model_inertia
 
 _INPUTS = {"error": 0, "rate_error": 1}
-"""Row of the input in y = [e; de]."""
+"""Input of a controller -> its row in y = [e; de]."""
 GAINS = np.dtype(
     [
         ("pose", "<i8"),
@@ -53,11 +53,11 @@ GAINS = np.dtype(
         *((name, "<i8") for name in ("A", "B", "C", "L", "x")),
     ]
 )
-"""1: axes of the pose, 0: legs; n; D; addresses of A (n, n), B (n, 2), C, L (n,) and the state x (n, 6)."""
+"""Layout: 1 (axes of the pose) or 0 (legs); n; D; addresses of A (n, n), B (n, 2), C, L (n,), x (n, 6)."""
 
 
 class StateSpaceSettings(ModelBasedSettings):
-    """A controller of `hil design` around inverse dynamics: ddq* = ddq_d + u, in the file's axes."""
+    """A linear controller of `hil design` around inverse dynamics: ddq* = ddq_d + u, in the file's axes."""
 
     axes = "designed"
     uncertified = "the states of its controller are part of the error dynamics"
@@ -76,7 +76,7 @@ class StateSpaceSettings(ModelBasedSettings):
         return self
 
     def build(self, context: LawContext) -> StateSpace:
-        """Build the law with the controller of the context.
+        """Build the control law with the controller that was read from the file.
 
         Raises ConfigurationError if the controller was sampled for another rate than the loop's.
         """
@@ -88,7 +88,7 @@ class StateSpaceSettings(ModelBasedSettings):
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Shipped controller, at the rate and for the delay of its design."""
+        """Keys that select the shipped controller; its bandwidth is that of its design."""
         del loop
         return {"controller_file": "hinf", "delay_compensation": None}
 
@@ -137,7 +137,7 @@ def pose_acceleration(errors: Array, dtwist: Array) -> Array:
 
 @helper
 def _taken(k: Any, constants: int, code: int, tick: Any, errors: Array) -> Array:
-    """Change of the last u by the limits, (6,) m/s^2, rad/s^2, from the shortfall."""
+    """Change of the last acceleration u (6,) by the force limits, m/s^2, rad/s^2, from the shortfall."""
     taken, limited = np.zeros(6), False
     for i in range(6):
         limited = limited or tick.shortfall[i] != 0.0
@@ -153,7 +153,7 @@ def _taken(k: Any, constants: int, code: int, tick: Any, errors: Array) -> Array
 
 @helper
 def _step(k: Any, y: Array, taken: Array) -> Array:
-    """Compute u (6,) and advance x (n, 6). y (2, 6): e and de; taken (6,): change of the last u.
+    """Compute the acceleration u (6,), advance x (n, 6). y (2, 6): e, de; taken (6,): change of the last u.
 
     The axes are the inner loop: six independent sums, each in the order of the states.
     """
@@ -227,14 +227,14 @@ class StateSpace(PointedLaw):
         super().__init__(model, controller.axes == "pose", n, D, *map(data_at, (*self._matrices, self.x)))
 
     def reset(self) -> None:
-        """Set x = 0."""
+        """Set the controller's state x (n, 6) to zero."""
         self.x[:] = 0.0
 
 
 def require_rate(controller: LinearController, rate_Hz: float) -> None:
-    """Check that the loop runs at the controller's sampling rate. Raises ConfigurationError."""
+    """Raise ConfigurationError unless the loop runs at the sampling rate of the controller's design."""
     if abs(controller.rate_Hz - rate_Hz) > 1e-9 * rate_Hz:
         raise ConfigurationError(
-            f"controller.controller_file: made for {controller.rate_Hz:g} Hz, but the loop runs at "
+            f"controller.controller_file: designed for {controller.rate_Hz:g} Hz, but the loop runs at "
             f"{rate_Hz:g} Hz; design the controller again for this rate"
         )

@@ -1,4 +1,4 @@
-"""Bounded uncertainty for which a robust law is designed."""
+"""Settings of the bounded model uncertainty for which a robust control law is designed."""
 
 from typing import Annotated, Self
 
@@ -30,9 +30,8 @@ class UncertaintySettings(Section):
     model_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """alpha, relative error of the model's inertia and weight: 0.1 for an inertia_scale of 0.9."""
     acceleration_m_s2: Positive | None = None
-    """Acceleration on which this error acts: largest leg force of the reference, weight included, divided by
-    the inertia, plus the acceleration of the law's linear part.
-    """
+    """Acceleration of which the model error is a share: largest leg force of the reference, weight included,
+    divided by the inertia, plus the acceleration of the law's linear part."""
 
     @model_validator(mode="after")
     def _error_of_something(self) -> Self:
@@ -49,6 +48,6 @@ class UncertaintySettings(Section):
         return self
 
     def bound(self, margin: float = 0.0) -> float:
-        """Acceleration of a leg, m/s^2, that dominates the whole uncertainty by `margin` (m/s^2)."""
+        """Acceleration, m/s^2, that exceeds any effect of the uncertainty on a leg by `margin`, m/s^2."""
         acceleration = self.acceleration_m_s2 or 0.0
         return (self.disturbance_m_s2 + self.model_error * acceleration + margin) / (1.0 - self.model_error)

@@ -1,1 +1,1 @@
-"""Controller synthesis from weights, and stability proofs of a loop."""
+"""Synthesis of controllers from weights, and stability proofs of the control loop."""

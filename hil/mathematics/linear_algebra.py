@@ -1,7 +1,7 @@
 """6 x 6 linear algebra without LAPACK: LU with partial pivoting, and a bound on the condition number.
 
-The last bit of a LAPACK result depends on the kernel that OpenBLAS selects for the processor; this code's
-does not.
+The last bit of a LAPACK result depends on the kernel that OpenBLAS selects for the processor; the results
+of this code do not.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from drivers.compiled.compiler import MATRIX, REAL, VECTOR, helper, kernel
 def lu_factor(A: Array, LU: Array, order: Ints) -> bool:
     """Factor P A = L U into ``LU`` (unit diagonal of L not stored); row i of P A is row ``order[i]`` of A.
 
-    False for a pivot that is zero or not finite; ``LU`` is then invalid.
+    All (6, 6). Returns False for a pivot that is zero or not finite; ``LU`` is then invalid.
     """
     for i in range(6):
         order[i] = i
@@ -45,7 +45,7 @@ def lu_factor(A: Array, LU: Array, order: Ints) -> bool:
 
 @helper
 def lu_solve(LU: Array, order: Ints, b: Array, x: Array) -> None:
-    """Solve A x = b into ``x``, which must not be ``b``."""
+    """Solve A x = b with the factors of ``lu_factor``; fills ``x`` (6,), which must not be ``b``."""
     for i in range(6):
         total = b[order[i]]
         for j in range(i):
@@ -61,7 +61,7 @@ def lu_solve(LU: Array, order: Ints, b: Array, x: Array) -> None:
 
 @helper
 def lu_solve_transposed(LU: Array, order: Ints, b: Array, x: Array, work: Array) -> None:
-    """Solve A^T x = b into ``x``; ``work`` is scratch (6,)."""
+    """Solve A^T x = b with the factors of ``lu_factor``; fills ``x`` (6,); ``work`` is scratch (6,)."""
     for i in range(6):
         total = b[i]
         for j in range(i):
@@ -105,7 +105,7 @@ def solve_transposed(A: Array, b: Array) -> Array:
 
 @helper
 def square_scaled(A: Array, B: Array) -> float:
-    """Fill B = (A / trace A)^2, which neither overflows nor underflows; returns the trace. A is symmetric."""
+    """Fill B = (A / trace A)^2 for a symmetric A (6, 6), and return the trace; scaled against overflow."""
     trace = A[0, 0] + A[1, 1] + A[2, 2] + A[3, 3] + A[4, 4] + A[5, 5]
     k = 1.0 / trace
     k = k * k
@@ -135,7 +135,7 @@ def largest_eigenvalue_bound(A: Array, B: Array) -> float:
 
 @helper
 def fill_gram(A: Array, r: float, G: Array) -> None:
-    """Fill G = (A S)^T (A S), S = diag(1, 1, 1, r, r, r); all (6, 6)."""
+    """Fill G = (A S)^T (A S), S = diag(1, 1, 1, r, r, r), for scaled singular values of A; all (6, 6)."""
     for i in range(6):
         for j in range(i, 6):
             total = 0.0
@@ -147,7 +147,7 @@ def fill_gram(A: Array, r: float, G: Array) -> None:
 
 @helper
 def condition_from_lu(J: Array, r: float, LU: Array, order: Ints, work: Array) -> float:
-    """Bound of ``condition_kernel`` from J and its LU factors; ``work`` is scratch (19, 6)."""
+    """Upper bound on the condition number of J (``condition_kernel``) from its LU factors; work (19, 6)."""
     A = work[0:6]
     B = work[6:12]
     K = work[12:18]

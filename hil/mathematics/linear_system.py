@@ -23,24 +23,24 @@ class LinearSystem(NamedTuple):
     D: Array
     """(outputs, inputs)."""
     period_s: float | None = None
-    """None: continuous time."""
+    """Sampling period, s; None: continuous time."""
 
     @property
     def order(self) -> int:
-        """Number of states."""
+        """Number n of states."""
         return len(self.A)
 
     def poles(self) -> ComplexArray:
-        """Eigenvalues of A (n,), rad/s in continuous time."""
+        """Poles (n,), the eigenvalues of A: in rad/s in continuous time, in z for a sampled system."""
         return np.asarray(np.linalg.eigvals(self.A), np.complex128)
 
     def is_stable(self) -> bool:
-        """Check that all poles are in the left half plane, or inside the unit circle for a sampled system."""
+        """True if all poles are in the left half plane, or, of a sampled system, inside the unit circle."""
         poles = self.poles()
         return bool((poles.real < 0).all() if self.period_s is None else (np.abs(poles) < 1).all())
 
     def response(self, omega: Array) -> ComplexArray:
-        """Frequency response (len(omega), outputs, inputs) at omega, rad/s."""
+        """Frequency response (len(omega), outputs, inputs) at the frequencies omega, rad/s."""
         omega = np.asarray(omega, float)
         z = 1j * omega if self.period_s is None else np.exp(1j * omega * self.period_s)
         resolvent = z[:, None, None] * np.eye(self.order) - self.A
@@ -48,14 +48,14 @@ class LinearSystem(NamedTuple):
         return np.asarray(gain + self.D, np.complex128)
 
     def after(self, first: LinearSystem) -> LinearSystem:
-        """Series connection: `first`, then this system."""
+        """Series connection: the outputs of `first` are the inputs of this system."""
         _same_time(self, first)
         A = np.block([[first.A, np.zeros((first.order, self.order))], [self.B @ first.C, self.A]])
         B = np.vstack([first.B, self.B @ first.D])
         return LinearSystem(A, B, np.hstack([self.D @ first.C, self.C]), self.D @ first.D, self.period_s)
 
     def beside(self, other: LinearSystem) -> LinearSystem:
-        """Both systems in one, uncoupled; inputs and outputs of this one first."""
+        """Both systems side by side, uncoupled; inputs and outputs of this system come first."""
         _same_time(self, other)
         A, B, C, D = (_diagonal(mine, yours) for mine, yours in zip(self[:4], other[:4], strict=True))
         return LinearSystem(A, B, C, D, self.period_s)
@@ -96,7 +96,7 @@ class LinearSystem(NamedTuple):
 
 
 def held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
-    """Zero-order hold over t: exp(A t) (n, n) and the integral of exp(A s) B over 0 .. t (n, inputs)."""
+    """Exact sampling of dx/dt = A x + B u, u held: exp(A t) (n, n), integral of exp(A s) B over 0 .. t."""
     n, inputs = B.shape
     block = np.zeros((n + inputs, n + inputs))
     block[:n, :n], block[:n, n:] = A, B
@@ -132,14 +132,14 @@ def exponential(A: Array) -> Array:
 
 
 def static(gain: Array, period_s: float | None = None) -> LinearSystem:
-    """Constant gain as a system without states."""
+    """Constant gain (outputs, inputs) as a linear system without states."""
     gain = np.atleast_2d(np.asarray(gain, float))
     outputs, inputs = gain.shape
     return LinearSystem(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), gain, period_s)
 
 
 def lag(time_s: float) -> LinearSystem:
-    """First-order lag 1 / (T s + 1); T = 0: a gain of 1."""
+    """Linear system 1 / (T s + 1), a first-order lag with T = time_s; a gain of 1 for T = 0."""
     if time_s == 0.0:
         return static(np.eye(1))
     rate = np.array([[1.0 / time_s]])

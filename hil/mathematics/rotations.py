@@ -10,11 +10,11 @@ from drivers.compiled.compiler import MATRIX, VECTOR, helper, kernel
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, scale
 
 _TERMS = 24
-"""Number of terms: rounding accuracy for |r| <= 2 pi."""
+"""Number of terms: enough for full double precision at |r| <= 2 pi."""
 
 
 def _reciprocal_factorials(first: int) -> tuple[float, ...]:
-    """(-1)^k / (2 k + first)! for k = 0, 1, ... ."""
+    """Coefficients (-1)^k / (2 k + first)! for k = 0, 1, ..., of the power series of rotations."""
     values = []
     factorial = 1
     for n in range(2, first + 1):
@@ -110,7 +110,7 @@ def rotation_motion(rv: Vector, v: Vector, a: Vector, R: Array) -> tuple[Vector,
 
 @kernel(VECTOR, VECTOR, VECTOR)
 def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array, Array]:
-    """R, omega and alpha of `rotation_motion`, as arrays."""
+    """R (3, 3), omega (3,) rad/s and alpha (3,) rad/s^2, base frame, of r(t) by `rotation_motion`."""
     R = np.empty((3, 3))
     omega, alpha = rotation_motion(at(r, 0), at(dr, 0), at(ddr, 0), R)
     return R, np.array(omega), np.array(alpha)
@@ -183,16 +183,16 @@ def relative_rotation(R0: Array, R1: Array) -> Array:
 
 @kernel(MATRIX, VECTOR)
 def turned(R: Array, x: Array) -> Array:
-    """[R x[:3]; R x[3:]], (6,): a twist or wrench of the platform frame in the base frame."""
+    """Twist or wrench x (6,) of the platform frame in the base frame: [R x[:3]; R x[3:]]."""
     return np.array(rotate(R, at(x, 0)) + rotate(R, at(x, 3)))
 
 
 def rotation_from_vector(r: Array) -> Array:
-    """R = exp([r]x), (3, 3). r (3,) rad, |r| <= 2 pi."""
+    """Rotation matrix R = exp([r]x) (3, 3) of a rotation vector r (3,) rad, |r| <= 2 pi."""
     zero = np.zeros(3)
     return rotation_motion_kernel(np.array(r, np.float64), zero, zero)[0]
 
 
 def rotation_vector(R: Array) -> Array:
-    """Rotation vector r (3,) rad with exp([r]x) = R and |r| <= pi. R (3, 3) a rotation."""
+    """Rotation vector r (3,) rad, |r| <= pi, of a rotation matrix R (3, 3): exp([r]x) = R."""
     return rotation_vector_kernel(np.ascontiguousarray(R, np.float64))

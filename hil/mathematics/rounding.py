@@ -1,4 +1,4 @@
-"""Rounding to a few significant digits, for proposed values."""
+"""Rounding to a few significant digits, for values that a command proposes to the user."""
 
 from math import ceil, floor, log10
 

@@ -1,4 +1,4 @@
-"""The verifier: for f and V, the properties that V proves, and the stability of the equilibrium.
+"""Verifier of Lyapunov functions: what V proves about dx/dt = f(x), and the stability of its equilibrium.
 
 Proofs use exact algebra and interval arithmetic. Samples, floating point and solver tolerances prove nothing.
 A claim without a proof or counterexample is undecided.

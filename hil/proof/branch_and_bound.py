@@ -23,7 +23,7 @@ class OutOfTime(BaseException):
 
 
 class Budget:
-    """Remaining number of cells, and time limit in seconds.
+    """Limits of a proof attempt: remaining number of cells, and wall time in seconds.
 
     Mutable: `left` counts down; `ended` is set when the budget was insufficient.
     `seconds` is the wall time of each call of `verify`. With math.inf only the cells are limited, so every
@@ -41,12 +41,12 @@ class Budget:
         self._began = self._end = math.inf
 
     def start(self) -> None:
-        """Start the clock."""
+        """Start the clock that `seconds` limits."""
         self._began = monotonic()
         self._end = self._began + self.seconds
 
     def take(self) -> bool:
-        """Take one cell; False if none is left or the time is over."""
+        """Deduct one cell from the budget; False if no cell is left or the time is over."""
         if self.left <= 0 or monotonic() > self._end:
             self.ended = True
             return False
@@ -54,7 +54,7 @@ class Budget:
         return True
 
     def within(self, share: float, question: Callable[[], Answer], otherwise: Answer) -> Answer:
-        """Run `question`; `otherwise` is the result if this share of `seconds` has passed since `start`.
+        """Result of `question`, or `otherwise` as soon as this share of `seconds` has passed since `start`.
 
         Calls must not be nested.
         """
@@ -69,7 +69,7 @@ class Budget:
 
 @contextmanager
 def _interrupted(seconds: float) -> Iterator[None]:
-    """Raise OutOfTime in the body at the time limit; only `take` checks it outside the main thread."""
+    """Context that raises OutOfTime in its body at the time limit; without effect outside the main thread."""
     if seconds <= 0:
         raise OutOfTime
     armed = [True]
@@ -96,14 +96,14 @@ def _interrupted(seconds: float) -> Iterator[None]:
 
 
 SMALLEST = 2.0**-40
-"""Smallest width of a cell to be halved: an enclosure that is undecided there stays undecided."""
+"""Width below which a cell is not halved any more; an undecided enclosure there stays undecided."""
 
 
 def covered(
     cells: Iterable[Cell], holds: Callable[[Sequence[Ball]], bool], budget: Budget, limit: int = 10_000,
     fails: Callable[[Sequence[Ball]], bool] | None = None,
 ) -> bool:  # fmt: skip
-    """Check that `holds` is true for every cell, and halve cells for which it is not.
+    """Prove a property on all cells: `holds` is true for each, or after halving for each of its parts.
 
     `holds` gets balls and must be true only if the property holds at each of their points. `fails` gets the
     middle of an undecided cell and ends the attempt if the property is false there. `limit` is the largest
@@ -133,7 +133,7 @@ def positive(
     budget: Budget,
     limit: int = 10_000,
 ) -> bool:
-    """Prove that at each point of the cells at least one of the functions is > 0."""
+    """Prove that at each point of the cells at least one of the functions is > 0; False: no proof found."""
     return covered(
         cells,
         lambda x: any(g(x) > 0 for g in functions),
@@ -144,24 +144,24 @@ def positive(
 
 
 def middle(cell: Cell) -> list[float]:
-    """Centre of a cell."""
+    """Centre (n,) of a cell with n sides."""
     return [low + (high - low) / 2 for low, high in cell]
 
 
 def halves(cell: Cell, side: int) -> tuple[Cell, Cell]:
-    """Both halves of a cell, divided along a side."""
+    """Both halves of a cell, divided in the middle of the side with index `side`."""
     low, high = cell[side]
     m = low + (high - low) / 2
     return (*cell[:side], (low, m), *cell[side + 1 :]), (*cell[:side], (m, high), *cell[side + 1 :])
 
 
 def faces(sides: Cell, moving: Sequence[int]) -> list[Cell]:
-    """Faces of a cell: one of the sides `moving` is fixed at one of its ends."""
+    """Faces of a cell: each of the sides with an index in `moving` fixed at one of its ends."""
     return [(*sides[:k], (end, end), *sides[k + 1 :]) for k in moving for end in sides[k]]
 
 
 def without(outer: Cell, inner: Cell) -> list[Cell]:
-    """Cells that cover `outer` without the interior of `inner`: slabs, one pair for each side."""
+    """Cells that together cover `outer` without the interior of `inner`."""
     slabs: list[Cell] = []
     rest = list(outer)
     for k, ((low, high), (inner_low, inner_high)) in enumerate(zip(outer, inner, strict=True)):

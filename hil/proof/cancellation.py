@@ -12,7 +12,7 @@ from drivers.errors import ModelError
 
 
 def cancelled(expression: sp.Expr) -> sp.Expr:
-    """Simplify: cancel common factors and opposite terms."""
+    """Simplified expression: common factors and opposite terms cancelled, cos^2 replaced by 1 - sin^2."""
     e = sp.expand(expression)
     try:
         e = sp.cancel(sp.together(e)) if not e.is_polynomial(*e.free_symbols) else e
@@ -24,7 +24,7 @@ def cancelled(expression: sp.Expr) -> sp.Expr:
 
 
 def _pythagoras(e: sp.Expr) -> sp.Expr:
-    """Replace cos^2 by 1 - sin^2 where an argument has both functions."""
+    """Expression with cos^2 u replaced by 1 - sin^2 u wherever it contains both functions of u."""
     both = {c.args[0] for c in e.atoms(sp.cos)} & {s.args[0] for s in e.atoms(sp.sin)}
     for u in both:
         s, c = sp.sin(u), sp.cos(u)
@@ -36,7 +36,7 @@ def _pythagoras(e: sp.Expr) -> sp.Expr:
 
 
 def continuous(expression: sp.Expr) -> sp.Expr:
-    """Eliminate sign(): u sign(u) = |u|, u sign(u)^2 = u.
+    """Expression without sign(): u sign(u) = |u|, u sign(u)^2 = u.
 
     The derivative of |u| is valid away from u = 0. If the result is continuous, it is also valid at u = 0,
     and the function before differentiation is continuously differentiable.
@@ -85,7 +85,7 @@ def lie_derivative(
 
 
 def factors(expression: sp.Expr) -> list[tuple[sp.Expr, sp.Rational]]:
-    """Factors with their powers; denominators have negative powers."""
+    """Factors of a product with their powers; factors of the denominator have negative powers."""
     try:
         e = sp.factor(sp.together(expression))
     except sp.PolynomialError:
@@ -96,7 +96,7 @@ def factors(expression: sp.Expr) -> list[tuple[sp.Expr, sp.Rational]]:
 def half_angles(expression: sp.Expr) -> list[sp.Expr]:
     """Rewrite cos u as 1 - 2 sin^2(u/2) and as 2 cos^2(u/2) - 1; empty without cosines.
 
-    So 1 - cos u becomes a square, and 1 + cos u, too.
+    In these forms 1 - cos u and 1 + cos u become squares.
     """
     if not expression.has(sp.cos):
         return []

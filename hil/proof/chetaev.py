@@ -23,7 +23,7 @@ WEIGHTS = 3
 
 
 def _rays(n: int) -> Iterator[tuple[float, ...]]:
-    """Points of a cube; for more than 4 states only points with at most two nonzero coordinates."""
+    """Directions of rays: points of a cube; for more than 4 states, at most two coordinates are nonzero."""
     if n <= 4:
         yield from product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=n)
         return
@@ -44,7 +44,7 @@ def function(V: sp.Expr | None, signs: Signs) -> sp.Expr | None:
 
 
 def grows(W: sp.Expr, signs: Signs) -> bool:
-    """Check that W is shown to fulfil Chetaev's theorem at the origin."""
+    """True if W is proven to satisfy the conditions of Chetaev's theorem at the origin."""
     states = signs.system.states
     if not set(states) & W.free_symbols or sp.expand(W.subs(dict.fromkeys(states, 0))) != 0:
         return False
@@ -82,7 +82,7 @@ def _along(W: sp.Expr, W_dot: sp.Expr, weights: tuple[int, ...], signs: Signs) -
 
 
 def _somewhere(down: Enclosure, n: int, ranges: Cell, reach: tuple[float, float], budget: Budget) -> bool:
-    """Check that W > 0 along a whole ray: arbitrarily near to the origin, for all parameters."""
+    """True if W > 0 is proven along a whole ray up to the origin, for all parameters."""
     for ends in _rays(n):
         ray: Cell = (*((e, e) for e in ends), *ranges, reach)
         if max(map(abs, ends)) == 1.0 and budget.take() and down.on(ray) < arb(0):

@@ -50,7 +50,7 @@ def find(g: sp.Expr, signs: Signs, *, or_zero: bool = False) -> Point | None:
 
 
 def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
-    """Points along the direction in which the quadratic part of g is positive, or zero."""
+    """Candidate points along a direction in which the quadratic part of g is positive or zero."""
     states = signs.system.states
     for parameters in _parameters(signs):
         S = quadratic.form(_leading(g.subs(parameters), states), states)
@@ -101,7 +101,7 @@ def _step(signs: Signs, x: sp.Symbol, k: int, far: int) -> sp.Expr:
 
 
 def _parameters(signs: Signs) -> list[Point]:
-    """Values of the parameters: all combinations for up to three, else the three joint ones."""
+    """Values of the parameters to try: all combinations of up to three parameters, else three sets."""
     rounded = signs.system.rounded.numbers
     choices = {
         p: ((low + high) / 2, low, high) for p, (low, high) in signs.system.ranges.items() if p not in rounded
@@ -111,7 +111,7 @@ def _parameters(signs: Signs) -> list[Point]:
 
 
 def _searched(h: Callable[[Sequence[Ball]], Ball], names: Sequence[sp.Symbol], signs: Signs) -> Point | None:
-    """Best-first search: the cell with the highest upper bound is halved next."""
+    """Point with h > 0 by best-first search, which halves the cell with the highest upper bound; or None."""
     if signs.system.positive:
         return None
     sides: Cell = tuple(

@@ -1,8 +1,8 @@
 """Input expressions and numbers of SymPy, and the meaning of decimal numbers in them.
 
 A decimal number of few digits is the fraction as written: 3.1 is 31/10. A number of many digits is usually a
-rounded result, such as -4.428571428571429 for -(3.1*x)/0.7, whose exact value is unknown. It represents
-every number within its rounding; a claim is proven or refuted only for all of them.
+rounded result, such as -4.428571428571429 for -(3.1*x)/0.7, whose exact value is unknown. Such a number
+represents every number within its rounding; a claim is proven or refuted only for all of them.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import sympy as sp
 from drivers.errors import ModelError
 
 WRITTEN = 12
-"""Largest number of digits, of a decimal number with 15, that counts as written exactly."""
+"""Largest number of digits with which a decimal number of 15-digit precision counts as exact."""
 ROUNDING = sp.Rational(1, 10**12)
-"""Rounding of a longer number, relative to itself or, because terms may have cancelled, to 1."""
+"""Assumed rounding error of a longer number, relative to the larger of its magnitude and 1."""
 DIGITS, EXPONENT = 1000, 10**4
 """Limits for numbers and exponents, so that exact arithmetic stays feasible."""
 _HOW = "write it with sympy: numbers, and expressions in sympy.Symbol"
@@ -64,7 +64,7 @@ def _size(node: sp.Basic) -> int:
 
 
 def exact(e: sp.Expr) -> sp.Expr:
-    """Replace each decimal number by the printed fraction."""
+    """Expression with each decimal number replaced by the fraction that its printed digits mean."""
     return e.xreplace({c: sp.Rational(str(c)) for c in e.atoms(sp.Float)})
 
 
@@ -80,11 +80,11 @@ class Rounded:
 
     @property
     def shown(self) -> dict[sp.Dummy, sp.Expr]:
-        """The numbers as printed; they do not cancel."""
+        """Symbol -> its number as printed, for output; SymPy does not combine such numbers."""
         return {symbol: sp.UnevaluatedExpr(c) for symbol, c in self.numbers.items()}
 
     def apart(self, e: sp.Expr) -> sp.Expr:
-        """Replace exact decimals by fractions, and rounded ones by symbols."""
+        """Expression with exact decimals replaced by fractions, and possibly rounded ones by symbols."""
         return e.xreplace({c: self._meant(c) for c in e.atoms(sp.Float)})
 
     def _meant(self, c: sp.Float) -> sp.Expr:
@@ -99,7 +99,7 @@ class Rounded:
 
 
 def around(c: sp.Float) -> tuple[sp.Expr, sp.Expr]:
-    """Smallest and largest value that a rounded number represents."""
+    """Smallest and largest exact value that a rounded decimal number may stand for."""
     middle = sp.Rational(str(c))
     share = max(ROUNDING, sp.Rational(10) ** -max(_digits(c) - 3, 1))
     reach = share * max(abs(middle), sp.S.One)
@@ -107,7 +107,7 @@ def around(c: sp.Float) -> tuple[sp.Expr, sp.Expr]:
 
 
 def written(c: sp.Float) -> sp.Rational | None:
-    """Fraction of a decimal number as written; None if it has too many digits."""
+    """Fraction that a decimal number with few digits means exactly; None if it has too many digits."""
     if c == 0:
         return sp.S.Zero
     text = str(c)

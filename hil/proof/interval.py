@@ -17,11 +17,11 @@ from flint import arb, fmpq
 from drivers.errors import ModelError
 
 Ball = Any
-"""flint.arb."""
+"""Interval as midpoint and radius, a `flint.arb`."""
 Cell = tuple[tuple[float, float], ...]
 """One pair (lower, upper) for each variable; the floats are exact."""
 Ranges = Mapping[sp.Symbol, tuple[float, float]]
-"""Parameters with their bounds."""
+"""Parameter -> its bounds (lower, upper)."""
 
 _UNARY: dict[Any, Callable[[Ball], Ball]] = {
     sp.Abs: lambda x: x.abs_lower().union(x.abs_upper()),
@@ -37,7 +37,7 @@ _NODES = (sp.Symbol, sp.Rational, sp.Add, sp.Mul)
 
 
 class Enclosure:
-    """The interval extension of an expression in the given variables."""
+    """Interval extension of an expression: a function from balls of its variables to a ball."""
 
     def __init__(self, expression: sp.Expr, variables: Sequence[sp.Symbol]) -> None:
         self._count = len(variables)
@@ -46,14 +46,14 @@ class Enclosure:
         self._result = self._place(expression)
 
     def __call__(self, balls: Sequence[Ball]) -> Ball:
-        """Ball that encloses every value on the balls of the variables."""
+        """Ball that encloses every value of the expression for variables in `balls`, in their order."""
         values = list(balls)
         for action, places in self._steps:
             values.append(action(*[values[p] for p in places]))
         return values[self._result]
 
     def on(self, cell: Cell) -> Ball:
-        """Enclosure on a cell."""
+        """Ball that encloses every value of the expression on a cell."""
         return self([ball(*side) for side in cell])
 
     def _place(self, e: sp.Expr) -> int:
@@ -66,21 +66,21 @@ class Enclosure:
 
 
 def ball(lower: float, upper: float) -> Ball:
-    """Ball that encloses [lower, upper]; all numbers for an infinite end."""
+    """Ball that encloses [lower, upper]; for an infinite end a ball of all numbers."""
     if math.isinf(lower) or math.isinf(upper):
         return arb(0, math.inf)
     return arb(lower) if lower == upper else arb(lower).union(arb(upper))
 
 
 def number(value: sp.Expr) -> Ball:
-    """Ball that encloses an exact number."""
+    """Ball that encloses the value of an expression without variables."""
     if isinstance(value, sp.Rational):
         return arb(fmpq(int(value.p), int(value.q)))
     return Enclosure(sp.sympify(value), ())(())
 
 
 def outward(lower: sp.Expr, upper: sp.Expr) -> tuple[float, float]:
-    """Floats that enclose [lower, upper]; an end that is a float stays unchanged."""
+    """Floats (low, high) that enclose [lower, upper], rounded outward only where an end is not a float."""
     return _outside(lower, -math.inf), _outside(upper, math.inf)
 
 

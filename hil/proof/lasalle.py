@@ -19,14 +19,14 @@ LONGEST = 400
 
 
 def leaves(zeros: Zeros, signs: Signs) -> bool:
-    """Prove that every trajectory except the equilibrium leaves the zeros of dV/dt."""
+    """Prove that every trajectory except the equilibrium leaves the set where dV/dt = 0."""
     return all(_leaves_branch(list(branch), {}, [], signs, DERIVATIVES) for branch in zeros)
 
 
 def _leaves_branch(
     todo: list[sp.Expr], solved: dict[sp.Symbol, sp.Expr], kept: list[sp.Expr], signs: Signs, left: int
 ) -> bool:
-    """Judge a branch. `solved`: states as functions of the others; `kept`: zero, but not solved."""
+    """Prove `leaves` for a branch. `solved`: states as functions of the others; `kept`: zero, not solved."""
     if _only_equilibrium(solved, kept, signs):
         return True
     if not todo or left == 0:
@@ -41,7 +41,7 @@ def _leaves_branch(
 
 
 def _ways(h: sp.Expr, signs: Signs) -> list[sp.Expr]:
-    """Expressions of which one is zero wherever h = 0; empty: h has no zero."""
+    """Expressions of which at least one is zero wherever h = 0; empty if h has no zero."""
     top = sp.fraction(sp.together(h))[0]
     ways = []
     for base, _ in factors(top):
@@ -86,7 +86,7 @@ def _follow(
 
 
 def _solvable(h: sp.Expr, signs: Signs) -> sp.Symbol | None:
-    """State in which h is linear, with a coefficient that is a number or a product of parameters; or None."""
+    """State in which h is linear, with a coefficient that is never zero, to eliminate this state; or None."""
     h = sp.expand(h)
     for x in signs.own(h):
         c = h.coeff(x, 1)

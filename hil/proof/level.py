@@ -43,7 +43,7 @@ def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
 
 
 def _of_form(P: quadratic.Matrix, signs: Signs) -> sp.Expr | None:
-    """Smallest value of a quadratic form on the faces; irrational ends are replaced by fractions inside."""
+    """Smallest value of a quadratic form on the faces of the domain; irrational ends are rounded inwards."""
     inverse = fmpq_mat([[fmpq(c.numerator, c.denominator) for c in row] for row in P]).inv()
     widths = [sp.Rational(int(inverse[k, k].p), int(inverse[k, k].q)) for k in range(len(P))]
     levels = []
@@ -67,7 +67,7 @@ def _samples(signs: Signs, x: sp.Symbol, end: sp.Expr) -> list[dict[sp.Symbol, s
 
 
 def _holds(V: sp.Expr, c: sp.Expr, faces: list[tuple[sp.Symbol, sp.Expr]], signs: Signs) -> bool:
-    """Check that V >= c is shown on all faces."""
+    """True if V >= c is proven on all faces (state, end) of the box."""
     for x, end in faces:
         g = sp.expand(V.subs(x, end) - c)
         constant = not signs.own(g) and (g.is_nonnegative or number(g) > 0)

@@ -6,8 +6,8 @@ Routh's table over the rationals decides the rest. Over ranges of parameters the
 Schneider applies: if A^T P + P A < 0, A has as many eigenvalues in the right half plane as P has negative
 ones. For parameters without a range polynomials in them decide. A root on the imaginary axis decides nothing.
 
-For a system without a V the module proposes x^T P x with A^T P + P A = -1. It is a guess, to be proven for
-the full f. Ranges of parameters are represented by their middle.
+For a system without a V the module proposes x^T P x with A^T P + P A = -1. This V is a guess, to be proven
+for the full f. Ranges of parameters are represented by their middle.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Eigenvalues(Enum):
 
 
 def of_rationals(A: sp.Matrix) -> Eigenvalues:
-    """Location of the eigenvalues of a rational matrix; UNKNOWN: some on the axis, none to the right."""
+    """Location of a rational matrix' eigenvalues; UNKNOWN: some on the imaginary axis, none right of it."""
     p = fmpq_mat([[fmpq(int(a.p), int(a.q)) for a in A.row(i)] for i in range(A.rows)]).charpoly()
     mirrored = fmpq_poly([c if k % 2 == 0 else -c for k, c in enumerate(p.coeffs())])
     symmetric = p.gcd(mirrored)
@@ -54,7 +54,7 @@ def of_rationals(A: sp.Matrix) -> Eigenvalues:
 
 
 def _routh(rising: Sequence[fmpq]) -> bool:
-    """Prove that all roots of a monic polynomial are left of the axis, by Routh's first column."""
+    """Prove by Routh's first column that all roots of a monic polynomial have a negative real part."""
     upper, lower = rising[::-1][0::2], rising[::-1][1::2]
     while lower:
         if lower[0] <= 0:
@@ -65,7 +65,7 @@ def _routh(rising: Sequence[fmpq]) -> bool:
 
 
 def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
-    """Location of the eigenvalues of A for all values of the parameters; UNKNOWN where it differs."""
+    """Location of the eigenvalues of A for all values of its parameters; UNKNOWN if it is not one for all."""
     entries = quadratic.enclosures(A.tolist(), tuple(ranges))
     found: set[Eigenvalues] = set()
 
@@ -79,7 +79,7 @@ def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
 
 
 def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
-    """Location of the eigenvalues of every matrix within A; a shift to the left moves them off the axis."""
+    """Proven location of the eigenvalues of every matrix within A, whose entries are balls."""
     middle = quadratic.middle_of(A)
     if middle is None:
         return Eigenvalues.UNKNOWN
@@ -166,7 +166,7 @@ SYMBOLIC = 3
 
 
 def lyapunov_function(system: System) -> sp.Expr | None:
-    """x^T P x for the linearisation A, or None if the equation has no such solution."""
+    """Candidate V = x^T P x, A^T P + P A = -1 for the linearisation A; None if there is no such P."""
     A = jacobian(system)
     if A is None:
         return None

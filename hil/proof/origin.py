@@ -21,7 +21,7 @@ LONGEST = 400
 """Largest number of operations in a derivative that is differentiated again."""
 RADII = tuple(2.0**-k for k in range(0, 17, 2))
 T = sp.Dummy("t", positive=True)
-"""Parameter of a ray."""
+"""Parameter t > 0 along a ray."""
 
 Weights = tuple[int, ...]
 
@@ -49,14 +49,14 @@ class Ray:
         self.smooth = not any(node.has(T) for node in self.rest.atoms(sp.Abs) | _rough(self.rest))
 
     def at_zero(self, j: int) -> sp.Expr:
-        """Coefficient of t^j at t = 0, a function of u."""
+        """Taylor coefficient of t^j at t = 0, as a function of u."""
         if self.rest == 0:
             return sp.expand(self.powers.get(j, sp.S.Zero))
         taylor = self._derivative(j).subs(T, 0) / sp.factorial(j)
         return sp.expand(self.powers.get(j, sp.S.Zero) + taylor)
 
     def order(self) -> int | None:
-        """Lowest order with a nonzero coefficient; None if it is above HIGHEST_ORDER, or g is not smooth."""
+        """Lowest j with a nonzero coefficient of t^j; None above HIGHEST_ORDER, or if g is not smooth."""
         if not self.smooth:
             return None
         return next((j for j in range(HIGHEST_ORDER + 1) if self.at_zero(j) != 0), None)
@@ -64,7 +64,7 @@ class Ray:
     def remainder(self, k: int) -> sp.Expr:
         """c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero.
 
-        If g has powers of t only, at t itself.
+        If g contains t only in powers, the equation holds at t itself.
         """
         higher = [(j, c) for j, c in self.powers.items() if j >= k]
         if self.rest == 0:
@@ -73,7 +73,7 @@ class Ray:
         return powers + self._derivative(k) / sp.factorial(k)
 
     def _derivative(self, j: int) -> sp.Expr:
-        """Differentiate the rest j times, and cache it; nan, which proves nothing, if it is too long."""
+        """Part of g that is no power of t, differentiated j times; nan, which proves nothing, if too long."""
         while len(self._derivatives) <= j:
             last = self._derivatives[-1]
             self._derivatives.append(sp.nan if last.count_ops() > LONGEST else sp.diff(last, T))
@@ -82,12 +82,12 @@ class Ray:
 
 @cache
 def _units(n: int) -> tuple[sp.Symbol, ...]:
-    """Shared symbols u_0 .. u_n-1 of all rays."""
+    """Symbols u_0 .. u_n-1 of the direction of a ray, the same for all rays."""
     return tuple(sp.Dummy(f"u{k}", real=True) for k in range(n))
 
 
 def _without_t(e: sp.Expr) -> sp.Expr:
-    """Apply |t^j h(u)| = t^j |h(u)| for t > 0."""
+    """Expression with |t^j h(u)| written as t^j |h(u)|, for t > 0."""
 
     def out(node: sp.Expr) -> sp.Expr:
         coefficient, power = sp.factor_terms(node.args[0]).as_independent(T, as_Add=False)
@@ -98,13 +98,13 @@ def _without_t(e: sp.Expr) -> sp.Expr:
 
 
 def _rough(e: sp.Expr) -> set[sp.Expr]:
-    """Roots that are not shown to be smooth at t = 0."""
+    """Roots in an expression that are not proven to be smooth at t = 0."""
     roots = {p for p in e.atoms(sp.Pow) if p.base.has(T) and not p.exp.is_Integer}
     return {p for p in roots if not p.base.subs(T, 0).is_positive}
 
 
 def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:
-    """Weights that give the lowest pure powers of all states the same order; or None."""
+    """Weights w_i for which the lowest pure powers of all states in g have the same order in t; or None."""
     orders = []
     for x in states:
         alone = g.subs(dict.fromkeys([y for y in states if y != x], 0))

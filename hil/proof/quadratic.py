@@ -2,8 +2,8 @@
 
 Exact forms need no tolerance, and twelve states are as easy as two. Cells cannot cover a box of twelve
 states. Instead Taylor's theorem gives g(x) = x^T H(c x) x / 2 with some c of [0, 1] if g and its gradient are
-zero at the origin. So g is positive definite on the box if its Hessian H is positive definite on the whole
-box.
+zero at the origin. Therefore g is positive definite on the box if its Hessian H is positive definite on the
+whole box.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ Matrix = list[list[Fraction]]
 
 
 def fractions(S: sp.Matrix) -> Matrix:
-    """Matrix of exact numbers as fractions."""
+    """SymPy matrix of rational numbers as nested lists of Fraction."""
     return [[Fraction(int(c.p), int(c.q)) for c in S.row(k)] for k in range(S.rows)]
 
 
 def rational(value: Fraction) -> sp.Rational:
-    """Fraction as an exact number of SymPy."""
+    """Python Fraction as a SymPy Rational."""
     return sp.Rational(value.numerator, value.denominator)
 
 
@@ -91,20 +91,20 @@ def _unit(n: int, k: int) -> list[Fraction]:
 
 
 def _back(x: list[Fraction], lines: Matrix, order: list[int]) -> list[Fraction]:
-    """Set the eliminated states of x so that all lines are zero: x^T S x reduces to the remainder."""
+    """Set the eliminated states of x so that x^T S x reduces to the part not yet decomposed."""
     for line, k in zip(reversed(lines), reversed(order), strict=True):
         x[k] -= sum((a * b for a, b in zip(line, x, strict=True)), Fraction(0))
     return x
 
 
 def definite(S: Matrix) -> bool:
-    """Check that x^T S x > 0 for all x except zero."""
+    """True if the symmetric S is positive definite: x^T S x > 0 for all x except zero; exact."""
     parts = decompose(S)
     return isinstance(parts, tuple) and len(parts[0]) == len(S)
 
 
 def lines(S: Matrix, states: Sequence[sp.Symbol]) -> list[sp.Expr] | None:
-    """Linear forms that all vanish where x^T S x = 0; None for a form that may be negative."""
+    """Linear forms of the states that are all zero exactly where x^T S x = 0; None if it may be negative."""
     parts = decompose(S)
     if not isinstance(parts, tuple):
         return None
@@ -112,7 +112,7 @@ def lines(S: Matrix, states: Sequence[sp.Symbol]) -> list[sp.Expr] | None:
 
 
 def falls(S: Matrix) -> list[Fraction] | None:
-    """Vector x != 0 with x^T S x <= 0; None if there is none."""
+    """Vector x != 0 with x^T S x <= 0; None if S is positive definite."""
     parts = decompose(S)
     if not isinstance(parts, tuple):
         return parts
@@ -155,7 +155,7 @@ def positive_definite(H: Sequence[Sequence[Ball]]) -> bool:
 
 
 def middle_of(H: Sequence[Sequence[Ball]]) -> np.ndarray | None:
-    """Middles of balls; None if one is not finite."""
+    """Matrix of the middles of balls; None if a ball is not finite."""
     middle = np.array([[float(b.mid()) if b.is_finite() else np.inf for b in row] for row in H])
     return middle if np.isfinite(middle).all() else None
 
@@ -163,13 +163,13 @@ def middle_of(H: Sequence[Sequence[Ball]]) -> np.ndarray | None:
 def enclosures(
     rows: Sequence[Sequence[sp.Expr]], names: Sequence[sp.Symbol]
 ) -> Callable[[Sequence[Ball]], list[list[Ball]]]:
-    """Enclosures of the entries of a matrix, as a function of the balls of the variables."""
+    """Function from balls of the variables `names` to balls of all entries of a matrix."""
     entries = [[Enclosure(c, names) for c in row] for row in rows]
     return lambda balls: [[e(balls) for e in row] for row in entries]
 
 
 def definite_form(S: Sequence[Sequence[sp.Expr]], ranges: Ranges, budget: Budget) -> bool:
-    """Prove that x^T S x is positive definite for all values of the parameters in S."""
+    """Prove that x^T S x is positive definite for all values, within `ranges`, of the parameters in S."""
     entries = enclosures(S, tuple(ranges))
     return covered([tuple(ranges.values())], lambda p: positive_definite(entries(p)), budget, 500)
 

@@ -1,7 +1,7 @@
 """Input file of `hil prove`: states, their derivatives, the candidate V and the box for which it is claimed.
 
 An expression is text in a small grammar: numbers, names, + - * / **, brackets and the functions of FUNCTIONS.
-It is parsed to a syntax tree without executing Python. Numbers are bounded before SymPy evaluates them.
+The text is parsed to a syntax tree without executing Python. Numbers are bounded before SymPy evaluates them.
 """
 
 import ast
@@ -49,7 +49,7 @@ _ALLOWED = f"allowed: numbers, names, + - * / ** ( ), {', '.join(sorted(FUNCTION
 
 
 def expression(text: str | float) -> sp.Expr:
-    """Parse an expression of the grammar above; a name is a symbol, `pi` and `e` are the constants.
+    """Parse an expression of this module's grammar; a name is a symbol, `pi` and `e` are the constants.
 
     Raises ValueError for any other text.
     """
@@ -86,7 +86,7 @@ def _built(node: ast.expr, text: str) -> sp.Expr:
 
 
 def _held(a: sp.Expr, b: sp.Expr) -> bool:
-    """Check that a power with a numeric exponent is finite and short enough."""
+    """True if a power with a numeric exponent is finite and has few enough digits."""
     if not b.is_Rational:
         return not a.is_number
     if a == 0:
@@ -131,7 +131,7 @@ Range = tuple[Expression, Expression]
 
 
 class Question(Section):
-    """The input file of `hil prove`."""
+    """Content of an input file of `hil prove`."""
 
     kind: Literal["proof"]
     states: Annotated[dict[Name, Expression], Field(min_length=1)]
@@ -139,7 +139,7 @@ class Question(Section):
     V: Expression | None = None
     """Lyapunov candidate; if omitted, one is proposed from the linearisation."""
     at: dict[Name, Expression] = {}
-    """Equilibrium; omitted states are 0."""
+    """State -> its value at the equilibrium; omitted states are 0."""
     box: dict[Name, Range] = {}
     """Range of each state in which V is claimed; a state without a range is unbounded."""
     parameters: dict[Name, Range] = {}
@@ -150,7 +150,7 @@ class Question(Section):
     """Time limit of the search, s."""
 
     def answer(self) -> Report:
-        """Run the verifier. Raises the ModelError of `verify`."""
+        """Report of the verifier on this input. Raises the ModelError of `hil.proof.theorems.verify`."""
         return verify(
             {sp.Symbol(x): expression(rate) for x, rate in self.states.items()},
             None if self.V is None else expression(self.V),

@@ -16,7 +16,7 @@ Box = dict[sp.Symbol, Interval]
 
 
 class Truth(Enum):
-    """Status of a claim."""
+    """Status of a claim after the attempt to prove and to refute it."""
 
     PROVEN = "proven"
     REFUTED = "refuted"
@@ -24,7 +24,7 @@ class Truth(Enum):
 
 
 class Certificate(Enum):
-    """Status of V on the box."""
+    """Status of the claim that V is a Lyapunov function on the box."""
 
     VALID = "valid"
     NOT_POSITIVE_DEFINITE = "not positive definite"
@@ -53,20 +53,20 @@ class Equilibrium(Enum):
 
 @dataclass(frozen=True)
 class CertificateFinding:
-    """The finding on V, in the user's symbols and coordinates."""
+    """Whether V is a Lyapunov function, and why, in the user's symbols and coordinates."""
 
     status: Certificate
     V_dot: sp.Expr | None = None
-    """After cancellation."""
+    """dV/dt along the trajectories, simplified."""
     decrease: Decrease | None = None
-    """Of a valid V."""
+    """Proven decrease of V, if V is valid."""
     at: Point | None = None
-    """The counterexample: all states, and parameters."""
+    """Counterexample, if any: values of all states and parameters."""
     value: sp.Expr | None = None
-    """V, or dV/dt, at the counterexample."""
+    """Value of V, or of dV/dt, at the counterexample."""
     reason: str = ""
     V: sp.Expr | None = None
-    """The proposed V, if none was given."""
+    """V as proposed by the verifier, if none was given."""
 
     @property
     def truth(self) -> Truth:
@@ -78,11 +78,11 @@ class CertificateFinding:
 
 @dataclass(frozen=True)
 class EquilibriumFinding:
-    """The finding on the equilibrium, in the user's symbols and coordinates."""
+    """What is proven about the equilibrium, and how, in the user's symbols and coordinates."""
 
     status: Equilibrium
     by: str
-    """The theorem, and its premise."""
+    """Name of the theorem, and its premise."""
     asymptotic: Truth
     """Status of asymptotic stability; refuted if the equilibrium is unstable or only stable."""
     box: Box | None = None
@@ -95,18 +95,18 @@ class EquilibriumFinding:
 
 @dataclass(frozen=True)
 class Report:
-    """Both findings, and the result of the linearisation, which needs no V."""
+    """Result of the verifier: the findings on V, the equilibrium, and its linearisation, which needs no V."""
 
     certificate: CertificateFinding
     equilibrium: EquilibriumFinding
     linearisation: Eigenvalues
     parameters: Box
-    """Parameters for which all of this holds; (0, oo) means any positive number."""
+    """Ranges of the parameters for which the report holds; (0, oo) means any positive number."""
     boxes: int
-    """Number of cells used."""
+    """Number of cells that the proof took."""
 
     def figures(self) -> dict[str, Any]:
-        """Plain values for JSON, expressions as text; `success`: V is valid."""
+        """Report as plain values for JSON, expressions as text; `success`: V is a valid Lyapunov function."""
         c, e = self.certificate, self.equilibrium
         return {
             "kind": "proof",

@@ -16,9 +16,8 @@ from hil.proof.interval import Cell, Enclosure, Ranges, outward, unsupported
 from hil.proof.system import System
 
 Zeros = tuple[tuple[sp.Expr, ...], ...]
-"""Possible zeros of a nonnegative function: on one of the branches. On a branch all of its expressions are
-zero. No branch: no zeros. A branch without expressions: zeros anywhere.
-"""
+"""Where a nonnegative function may be zero: on one of the branches, where all expressions of the branch are
+zero. No branch: nowhere. A branch without expressions: anywhere."""
 NOWHERE: Zeros = ()
 _ODD = (sp.tanh, sp.atan, sp.sinh)
 """Functions with the sign and the zero of their argument."""
@@ -27,7 +26,7 @@ BRANCHES = 12
 
 
 class Signs:
-    """Signs on the domain of a system. Mutable: uses up `budget`, and caches its results."""
+    """Proves signs of functions on the domain of a system. Mutable: uses up `budget`, caches its results."""
 
     def __init__(self, system: System, budget: Budget) -> None:
         self.system = system
@@ -37,11 +36,11 @@ class Signs:
         self._zeros: dict[sp.Expr, Zeros | None] = {}
 
     def own(self, g: sp.Expr) -> tuple[sp.Symbol, ...]:
-        """States that g depends on."""
+        """States of the system that occur in g."""
         return tuple(x for x in self.system.states if x in g.free_symbols)
 
     def enclosable(self, g: sp.Expr) -> bool:
-        """Check that g has an enclosure and no parameter without a range."""
+        """True if interval arithmetic can enclose g: known functions only, and a range for each parameter."""
         return g.free_symbols.isdisjoint(self.system.positive) and not unsupported(g)
 
     def positive(self, g: sp.Expr) -> bool:
@@ -56,7 +55,7 @@ class Signs:
         return self._covered(g, self.own(g), [cell], 3000)
 
     def sign(self, c: sp.Expr) -> int:
-        """Sign of c for all parameters: 1 or -1 if proven, else 0."""
+        """Sign of a function c of the parameters for all their values: 1 or -1 if proven, else 0."""
         if c.is_Rational:
             return int(sp.sign(c))
         top, bottom = sp.fraction(sp.factor(c) if c.is_rational_function() else c)
@@ -67,7 +66,7 @@ class Signs:
         return result
 
     def _for_all_positive(self, c: sp.Expr) -> bool:
-        """Judge a function of parameters only, some of them without a range, by its coefficients."""
+        """Prove by its coefficients that a function of parameters, some without a range, is positive."""
         free = tuple(p for p in self.system.positive if p in c.free_symbols)
         try:
             parts = [p for e in sp.fraction(sp.together(c)) for p in sp.Poly(e, *free).coeffs()]
@@ -123,7 +122,7 @@ class Signs:
         return self._covered(g, states, without(outer, near[0]), 10_000)
 
     def _definite_form(self, S: list[list[sp.Expr]], g: sp.Expr) -> bool:
-        """Judge a quadratic form: exactly, over ranges, or by leading minors for all parameters."""
+        """Prove a quadratic form definite: exactly, over ranges, or by leading minors for all parameters."""
         if all(c.is_Rational for row in S for c in row):
             return quadratic.definite(quadratic.fractions(sp.Matrix(S)))
         if self.enclosable(g):
@@ -134,7 +133,7 @@ class Signs:
         return {p: self.sides[p] for p in self.system.ranges if p in g.free_symbols}
 
     def _outer(self, g: sp.Expr, states: tuple[sp.Symbol, ...], ranges: Ranges) -> Cell | None:
-        """Domain, cut where the tail bound begins; None without a tail bound."""
+        """Domain, cut to the cell outside of which `tail` proves g > 0; None without such a proof."""
         far = tuple(x for x in states if not all(map(math.isfinite, self.sides[x])))
         sides = {x: self.sides[x] for x in states}
         if far:
@@ -148,7 +147,7 @@ class Signs:
         return tuple(sides[x] for x in states)
 
     def _open(self, g: sp.Expr, x: sp.Symbol, side: tuple[float, float]) -> tuple[float, float] | None:
-        """Exclude a neighbourhood of an end that is a zero of g, if g is positive up to it."""
+        """Side of x without neighbourhoods of ends where g = 0 and next to which g > 0 is proven; or None."""
         trimmed = list(side)
         for k, end in enumerate(self.system.domain[x]):
             if end.is_infinite or sp.expand(g.subs(x, end)) != 0:
@@ -194,7 +193,7 @@ class Signs:
         return None
 
     def _structure(self, g: sp.Expr) -> Zeros | None:
-        """Zeros by structure only: even powers, moduli, positive factors, and their sums."""
+        """Zeros of g if its form (even powers, moduli, positive factors, sums) proves g >= 0, else None."""
         if g.is_number or g.is_positive:
             return NOWHERE if g.is_positive else ((),) if g.is_zero else None
         if isinstance(g, sp.Abs):
@@ -221,7 +220,7 @@ class Signs:
         return zeros if p.is_positive or zeros is None else NOWHERE
 
     def _by_factors(self, g: sp.Expr) -> Zeros | None:
-        """Judge the factors, grouped by common states: definite, positive or squares."""
+        """Zeros of a product whose factors, grouped by common states, are definite, positive or squares."""
         groups: list[tuple[set[sp.Symbol], sp.Expr]] = []
         number = sp.S.One
         for base, p in factors(g):
@@ -255,7 +254,7 @@ class Signs:
         return self._term_by_term(h)
 
     def _term_by_term(self, h: sp.Expr) -> Zeros | None:
-        """Judge a sum term by term; every term must be nonnegative."""
+        """Zeros of a sum whose terms are all proven nonnegative; else None."""
         terms = sp.Add.make_args(sp.expand(h))
         return _meet(self._structure(t) or self._by_factors(t) for t in terms) if len(terms) > 1 else None
 
@@ -280,14 +279,14 @@ class Signs:
 
 
 def _root(e: sp.Expr) -> sp.Expr:
-    """State whose zero is the zero of an expression: x of x^3 or |x|."""
+    """State x of an expression such as x^3 or |x|, which is zero exactly where x is."""
     while isinstance(e, sp.Abs) or (isinstance(e, sp.Pow) and e.exp.is_positive):
         e = e.args[0]
     return e
 
 
 def _union(parts: Iterable[Zeros | None]) -> Zeros | None:
-    """Zeros of a product: a factor is zero."""
+    """Zeros of a product from the zeros of its factors: one factor is zero."""
     result: Zeros = ()
     for p in parts:
         if p is None:
@@ -297,7 +296,7 @@ def _union(parts: Iterable[Zeros | None]) -> Zeros | None:
 
 
 def _meet(parts: Iterable[Zeros | None]) -> Zeros | None:
-    """Zeros of a sum of nonnegative terms: all terms are zero."""
+    """Zeros of a sum of nonnegative terms from theirs: all terms are zero."""
     result: Zeros = ((),)
     for p in parts:
         if p is None:

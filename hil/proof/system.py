@@ -1,4 +1,4 @@
-"""The problem in exact form: dx/dt = f(x) about an equilibrium, V, domain, and parameters.
+"""The problem of the verifier in exact form: dx/dt = f(x) about an equilibrium, V, domain, parameters.
 
 This module only rejects invalid input. States become real symbols, parameters without a range
 positive ones, and the equilibrium the origin (the change of variable of section 6.0.1, note 1).
@@ -28,19 +28,19 @@ class System:
     states: tuple[sp.Symbol, ...]
     f: dict[sp.Symbol, sp.Expr]
     domain: dict[sp.Symbol, Interval]
-    """About the equilibrium; -oo and oo for the whole space."""
+    """Range of each state relative to the equilibrium; -oo and oo for the whole space."""
     ranges: dict[sp.Symbol, Interval]
     """Parameters with a given range, and decimal numbers that may have been rounded."""
     positive: tuple[sp.Symbol, ...]
     """Parameters that stand for all positive values."""
     equilibrium: Point
-    """In the user's coordinates."""
+    """Equilibrium in the user's coordinates."""
     renamed: dict[sp.Symbol, sp.Expr]
     """User's symbol -> expression in the symbols of this system."""
     own: dict[sp.Symbol, sp.Symbol]
     """Symbol of this system -> user's symbol."""
     rounded: Rounded = field(default_factory=Rounded)
-    """Decimal numbers of too many digits."""
+    """Decimal numbers with so many digits that they count as rounded."""
 
     @property
     def bounded(self) -> bool:
@@ -67,19 +67,19 @@ class System:
         return e.xreplace(self.renamed)
 
     def in_own_symbols(self, point: Point) -> Point:
-        """Point in the user's symbols and coordinates."""
+        """Point of this system in the user's symbols and coordinates."""
         moved = {x: point[x] + self.equilibrium[self.own[x]] for x in self.states}
         return {self.own[s]: value for s, value in (point | moved).items() if s in self.own}
 
     def shown(self, expression: sp.Expr) -> sp.Expr:
-        """Expression in the user's symbols and coordinates."""
+        """Expression of this system in the user's symbols and coordinates."""
         if not any(self.equilibrium.values()):
             return expression.xreplace(self.own | self.rounded.shown)
         there = {x: self.own[x] - self.equilibrium[self.own[x]] for x in self.states}
         return expression.subs(there, simultaneous=True).xreplace(self.own | self.rounded.shown)
 
     def scaled(self, share: float) -> System:
-        """System on a share of this domain; an infinite side becomes this share of 1."""
+        """Same system on a smaller domain: each side times `share`; an infinite end becomes `share`."""
         s = sp.Rational(share)
         sides = {
             x: (-s if low == -sp.oo else low * s, s if high == sp.oo else high * s)
@@ -92,7 +92,7 @@ def make_system(
     f: Mapping[sp.Symbol, Any], V: Any, at: Mapping[sp.Symbol, Any] | None,
     box: Mapping[sp.Symbol, tuple[Any, Any]] | None, parameters: Mapping[sp.Symbol, tuple[Any, Any]] | None,
 ) -> System:  # fmt: skip
-    """Build the system in exact form.
+    """System in exact form, from a user's input to `verify`.
 
     Raises ModelError if `at` is no equilibrium or outside the box; if f is discontinuous or has a part
     without an enclosure; if an option contains an unknown symbol; or if a symbol has a stronger assumption
@@ -160,25 +160,25 @@ def make_system(
 
 
 def _refuse(*checks: tuple[Iterable[Any], str]) -> None:
-    """Raise ModelError with the first message that has at least one name."""
+    """Raise ModelError with the first message whose iterable is not empty, and the names in it."""
     for wrong, message in checks:
         if names := sorted(map(str, wrong)):
             raise ModelError(message.replace("{}", ", ".join(names), 1))
 
 
 def _assumed(s: sp.Symbol, meant: str) -> bool:
-    """Check that SymPy assumes no more about a symbol than `meant`."""
+    """True if SymPy assumes no more about a symbol than `meant`, such as `real`."""
     return bool(s.assumptions0.items() <= sp.Symbol("s", **{meant: True}).assumptions0.items())
 
 
 def _sign(side: Interval) -> dict[str, bool]:
-    """SymPy assumption for a parameter with a range."""
+    """SymPy assumption (positive, negative or real) that a range of a parameter permits."""
     low, high = side
     return {"positive": True} if low > 0 else {"negative": True} if high < 0 else {"real": True}
 
 
 def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """dx/dt about the equilibrium; ModelError if it is not continuous or has no enclosure."""
+    """Rate dx/dt about the equilibrium; ModelError if it is not continuous or has no enclosure."""
     enclosed = f"d{x}/dt contains {{}}, allowed: {ALLOWED}"
     _refuse(({a for a in e.atoms(sp.Function) if a.func not in FUNCTIONS | {sp.sign}}, enclosed))
     try:

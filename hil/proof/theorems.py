@@ -1,6 +1,6 @@
 """The theorems of section 6.0, each with its conditions.
 
-This module decides no sign (see signs); a finding states its theorem.
+This module proves no sign itself (see hil.proof.signs); each result states its theorem.
 """
 
 from collections.abc import Iterator, Mapping
@@ -29,7 +29,7 @@ from hil.proof.signs import Signs, Zeros, regular
 from hil.proof.system import Point, System, make_system
 
 SHRINKS = 6
-"""Number of halvings of the box in search of one on which V is valid: stability is a local property."""
+"""Number of times the box is halved in the search for one on which V is valid; stability is local."""
 ROUNDED = (
     "decimal numbers with so many digits count as rounded: they represent every number within their rounding "
     "and may not cancel; write exact numbers as sympy.Rational"
@@ -50,13 +50,13 @@ def verify(
     parameters: Mapping[sp.Symbol, tuple[Any, Any]] | None = None,
     budget: Budget | None = None,
 ) -> Report:
-    """Prove or refute that V is a Lyapunov function of dx/dt = f(x), and judge the equilibrium.
+    """Prove or refute that V is a Lyapunov function of dx/dt = f(x); find the stability of the equilibrium.
 
     `f` maps each state to its time derivative, `V` is the Lyapunov candidate, both in SymPy; if omitted, one
     is proposed from the linearisation. `at` is the equilibrium; omitted states are 0. V is claimed on `box`,
-    in which omitted states are unbounded. Without a box V is claimed on the whole space, and the finding may
-    be global. All other symbols are parameters: any positive number, or a number in a range of `parameters`.
-    `budget` limits cells and seconds.
+    in which omitted states are unbounded. Without a box V is claimed on the whole space, and stability may be
+    proven globally. All other symbols are parameters: any positive number, or a number in a range of
+    `parameters`. `budget` limits cells and seconds.
 
     Sources: section 6.0 of the chapter; Khalil, Nonlinear Systems, theorems 4.1 to 4.4 and 4.7.
 
@@ -94,7 +94,7 @@ def _read(f: Any, V: Any, at: Any, box: Any, parameters: Any) -> tuple[System, s
 
 @dataclass(frozen=True)
 class _Proof:
-    """V is positive definite, dV/dt <= 0, on the domain of `signs`; `zeros` of dV/dt."""
+    """Proof that V is positive definite and dV/dt <= 0 on the domain of `signs`; `zeros`: where dV/dt = 0."""
 
     V: sp.Expr
     decrease: Decrease
@@ -106,7 +106,7 @@ _Shown = tuple[_Proof | None, CertificateFinding]
 
 
 def _certificate(V: sp.Expr | None, signs: Signs) -> _Shown:
-    """Lyapunov's conditions on the domain (6.0, local and global theorem)."""
+    """Check Lyapunov's conditions on V on the domain of `signs` (section 6.0); proof or None, and finding."""
     if V is None:
         return None, _NO_V
     system, shown = signs.system, None
@@ -159,7 +159,7 @@ def _why(signs: Signs, what: str) -> str:
 def _equilibrium(
     V: sp.Expr | None, signs: Signs, near: Signs, proof: _Proof | None, spectrum: Eigenvalues
 ) -> EquilibriumFinding:
-    """Strongest proven finding; stability by V, instability by an eigenvalue or Chetaev."""
+    """Strongest proven statement: stability by V, instability by an eigenvalue or Chetaev's theorem."""
     budget = signs.budget
     by = "by an eigenvalue with positive real part" if spectrum is Eigenvalues.RIGHT else None
     if by is None and proof is None:
@@ -188,7 +188,7 @@ def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
 
 
 def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
-    """Try a V of the linearisation on the domain and then on smaller boxes."""
+    """Try the V that the linearisation proposes on the domain, then on smaller boxes."""
     V = signs.budget.within(0.6, lambda: lyapunov_function(signs.system), None)
     if V is None:
         return _NO_V, _INDIRECT
@@ -217,7 +217,7 @@ def _stable_in_reversed_time(V: sp.Expr, near: Signs) -> bool:
 
 
 def _stability(proof: _Proof) -> EquilibriumFinding:
-    """Lyapunov's and LaSalle's theorems on the domain of the proof."""
+    """What Lyapunov's and LaSalle's theorems state on the domain of the proof."""
     signs, system = proof.signs, proof.signs.system
     box = _named_box(system)
     level = largest_level(proof.V, signs)
@@ -264,7 +264,7 @@ def _whole_space(system: System) -> bool:
 
 
 def _grows_without_bound(V: sp.Expr, signs: Signs) -> bool:
-    """Radial unboundedness: V -> oo as |x| -> oo. A definite quadratic form has it."""
+    """Prove that V is radially unbounded, V -> oo as |x| -> oo, as every definite quadratic form is."""
     if quadratic.coefficients(V, signs.system.states) is not None:
         return signs.definite(V)
     if not signs.enclosable(V):
@@ -277,7 +277,7 @@ def _grows_without_bound(V: sp.Expr, signs: Signs) -> bool:
 
 
 def _rests_nearby(signs: Signs) -> bool:
-    """Check for a line of equilibria through the equilibrium, which excludes asymptotic stability."""
+    """True if a line of equilibria through the equilibrium is found, which excludes asymptotic stability."""
     system = signs.system
     s = sp.Dummy("s", real=True)
     A = jacobian(system)

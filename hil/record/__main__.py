@@ -1,4 +1,4 @@
-"""The recorder process; started by `hil.record.recording`, not by people."""
+"""Entry point of the recorder process, which `hil.record.recording` starts."""
 
 import sys
 

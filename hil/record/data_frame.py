@@ -2,7 +2,7 @@
 
 Each tick gets the row of the plant's log that belongs to the SYNC of that tick.
 
-The only importer of pandas, which is an extra.
+Only this module imports pandas, an optional dependency.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float) -> Ints:
 
 
 def _nearest(there: Ints, wanted: Ints) -> Ints:
-    """Indices (n,) of the elements of ascending `there` (m,) that are nearest to `wanted` (n,)."""
+    """Indices (n,) of the elements of `there` (m,), in rising order, that are nearest to `wanted` (n,)."""
     right = np.minimum(np.searchsorted(there, wanted), len(there) - 1)
     left = (right - 1).clip(0)
     nearest: Ints = np.where(wanted - there[left] < there[right] - wanted, left, right)

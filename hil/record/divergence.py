@@ -1,6 +1,6 @@
 """First tick and largest difference of each column between two logs, for what-ifs and `--against`.
 
-Pure, block by block. `hil.loop.replay` compares a replay with its log.
+Pure functions over blocks of rows. `hil.loop.replay` compares a replay with its log.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ class Tolerance(NamedTuple):
     """Allowed difference of two values: |a - b| <= absolute + relative * max(1, |b|)."""
 
     absolute: float = 0.0
-    """In the unit of the column; inf: the column never diverges."""
+    """Allowed difference in the unit of the column; inf: the column never diverges."""
     relative: float = 0.0
 
 
@@ -26,32 +26,32 @@ EXACT = Tolerance()
 
 
 class Place(NamedTuple):
-    """One element of a column at one tick, with its value in both logs."""
+    """One element of a column at one tick, with its value in both of the compared logs."""
 
     tick: int
     time_s: float
     """Time of the tick as given by the caller, s."""
     label: str
-    """For example `tau.leg_3`."""
+    """Label of the element, for example `tau.leg_3`."""
     unit: str
     one: int | float
     other: int | float
 
     def values(self, column: Column) -> tuple[str, str]:
-        """Both values as text, by name where the column has names."""
+        """Both values as text: as the name of an enumeration or flag value, else as a number."""
         return name_of(column, self.one), name_of(column, self.other)
 
 
 @dataclass
 class ColumnDivergence:
-    """Differences of one column. Mutable state: all fields below the tolerance."""
+    """Differences of one column between two logs. Mutable state: all fields below the tolerance."""
 
     column: Column
     tolerance: Tolerance = EXACT
     ticks: int = 0
     """Ticks with an element beyond the tolerance."""
     first: Place | None = None
-    """First of these ticks, at its worst element."""
+    """First tick with an element beyond the tolerance, at its worst element."""
     largest: float = 0.0
     """Largest |one - other|, in the unit of the column; inf where one value is not a number."""
     at: Place | None = None
@@ -59,7 +59,7 @@ class ColumnDivergence:
 
     @property
     def diverges(self) -> bool:
-        """True if at least one tick is beyond the tolerance."""
+        """True if the column differs by more than its tolerance in at least one tick."""
         return self.ticks > 0
 
     def take(self, one: Rows, other: Rows, time_s: Array) -> Flags:
@@ -95,7 +95,7 @@ class ColumnDivergence:
 
 
 class Divergence:
-    """Differences of all columns. Mutable state: the result of each column.
+    """Differences of all columns between two logs. Mutable state: the result of each column.
 
     tolerances : by column name; other columns are exact. relative : tolerance of every other column of
     floats; inf: no other column can diverge.
@@ -108,7 +108,7 @@ class Divergence:
         self.columns = [ColumnDivergence(c, _tolerance(c, given, relative)) for c in columns]
 
     def take(self, one: Rows, other: Rows, time_s: Array) -> Flags:
-        """Compare n rows with n rows, tick by tick: flags (n,) of rows beyond a tolerance; time_s is (n,)."""
+        """Compare rows (n,) of two logs tick by tick; flags (n,) of rows beyond a tolerance; time_s (n,)."""
         found: Flags = np.zeros(len(one), bool)
         for each in self.columns:
             found |= each.take(one, other, time_s)
@@ -116,24 +116,24 @@ class Divergence:
 
     @property
     def diverging(self) -> list[ColumnDivergence]:
-        """Columns that diverge, earliest first; within one tick in the order of the row."""
+        """Columns that differ by more than their tolerance, earliest first, then in the order of the row."""
         found = [each for each in self.columns if each.diverges]
         return sorted(found, key=lambda each: each.first.tick if each.first else 0)
 
     @property
     def different(self) -> list[ColumnDivergence]:
-        """Columns with any difference, within tolerance or not, in the order of the row."""
+        """Columns with any difference, even within their tolerance, in the order of the row."""
         return [each for each in self.columns if each.largest > 0.0]
 
     @property
     def first(self) -> list[ColumnDivergence]:
-        """Columns that diverge at the earliest diverging tick."""
+        """Columns beyond their tolerance at the earliest tick at which any column is."""
         ticks = [each.first.tick for each in self.diverging if each.first]
         return [each for each in self.diverging if each.first and each.first.tick == ticks[0]]
 
 
 def _tolerance(column: Column, given: Mapping[str, float], relative: float) -> Tolerance:
-    """Tolerance of a column: its own, else the relative one for floats and none for integers."""
+    """Tolerance of a column: the one given for it, else `relative` for floats, and none for integers."""
     if column.name in given:
         return Tolerance(given[column.name])
     if relative == np.inf:
@@ -142,7 +142,7 @@ def _tolerance(column: Column, given: Mapping[str, float], relative: float) -> T
 
 
 def _difference(a: Array, b: Array) -> Array:
-    """|a - b| of (n, m) values: 0 where both are equal or both nan, inf where only one is nan."""
+    """Differences |a - b| of (n, m) values: 0 if equal or both nan, inf if only one is nan."""
     with np.errstate(invalid="ignore", over="ignore"):
         difference = np.abs(a.astype(np.float64) - b.astype(np.float64))
     if a.dtype.kind == "f":

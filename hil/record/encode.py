@@ -33,31 +33,31 @@ from hil.record.schema import (
 )
 
 TICK, CAN, COMMANDS, EVENTS, TF, SCENE = 1, 2, 3, 4, 5, 6
-"""Channel identifiers."""
+"""MCAP identifiers of the channels."""
 _MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode, bytes that follow, channel, sequence, log and publish time in ns; the message follows."""
+"""Header of a Message record: opcode, size of the rest, channel, sequence, log and publish time, ns."""
 
 
 class Messages(NamedTuple):
     """Complete MCAP Message records in file order, with the values for the message index."""
 
     data: Bytes
-    """The records, back to back."""
+    """Bytes of the records, back to back."""
     start: Ints
     """(n + 1,) start of each record in `data`, and the end of the last one."""
     channel: Ints
     log_time: Ints
     tick: Ints
-    """Position of each record's tick in the batch; chunks are cut between ticks."""
+    """(n,) index in the batch of the tick of each record; chunks begin and end between ticks."""
 
     def records(self) -> Iterator[memoryview]:
-        """The records one by one."""
+        """Yield the MCAP records one by one."""
         data = self.data.data
         return (data[first:last] for first, last in pairwise(self.start.tolist()))
 
 
 class _Rare(NamedTuple):
-    """A message that is encoded on its own, and the item that it precedes."""
+    """A message other than a row or frame, and its place: in the tick of `row`, before `item`."""
 
     row: int
     item: int
@@ -79,7 +79,7 @@ def channels_of(table: Table, can_channels: Sequence[str]) -> dict[int, tuple[st
 
 
 class Encoder:
-    """Turns batches into messages. State: number of the next tick, for events between ticks."""
+    """Turns batches of ticks into MCAP messages. State: number of the next tick, for events between ticks."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class Encoder:
         return pack
 
     def encode(self, batch: Batch) -> Messages:
-        """Messages of a batch: for each tick its row, its items in order, its views."""
+        """MCAP messages of a batch: for each tick its row, its frames and commands in order, its 3D view."""
         rows, items, of_row = batch
         count, total = len(rows), len(items)
         ticks = np.append(rows["tick"], rows["tick"][-1] + 1 if count else self._next_tick)
@@ -137,7 +137,7 @@ class Encoder:
         return Messages(out[: start[-1]], start, channel[:-1], log_time[:-1], row[:-1])
 
     def _rare(self, batch: Batch, ticks: Sequence[int], times: Sequence[int]) -> list[_Rare]:
-        """Messages other than rows and frames, in file order."""
+        """Commands, events and 3D views of a batch as messages, in file order."""
         rows, items, of_row = batch
         found = []
         for i in np.flatnonzero(items["kind"] > SENT).tolist():
@@ -183,7 +183,7 @@ class Encoder:
 
 
 def event_text(items: Rows, i: int) -> str:
-    """Text of the event whose last piece is item i."""
+    """Text of the event whose last piece is element i of `items`; an event spans one or more items."""
     first = i
     while first > 0 and items[first - 1]["kind"] == EVENT and items[first - 1]["id"] > 0:
         first -= 1

@@ -1,4 +1,4 @@
-"""Ticks, frames and events of a log, and the assembly of ticks from rows and frames."""
+"""Ticks, CAN frames, commands and events of a log, and the assembly of ticks from rows and frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hil.signals import NUMBERS, ORDERS, Operator, Order, SetPoint
 
 
 class Tick:
-    """One recorded tick, built from frames as tuples or as elements of FRAME."""
+    """One recorded tick: its row, its frames received and sent, and its operator commands."""
 
     row: np.void
     """One element of `hil.record.log.Log.dtype`."""
@@ -47,12 +47,12 @@ class Tick:
 
     @cached_property
     def received(self) -> tuple[Received, ...]:
-        """Received frames in the order consumed."""
+        """CAN frames received, in the order in which the control cycle consumed them."""
         return received_frames(self.received_items)
 
     @cached_property
     def sent(self) -> tuple[Frame, ...]:
-        """Sent frames in the order sent, SYNC first."""
+        """CAN frames sent, in the order sent, SYNC first."""
         return sent_frames(self.sent_items)
 
     def _replace(self, **changes: Any) -> Tick:
@@ -62,7 +62,7 @@ class Tick:
 
 
 class Command(NamedTuple):
-    """One recorded operator command."""
+    """One recorded operator command with its tick and its numbers."""
 
     tick: int
     place: int
@@ -72,10 +72,10 @@ class Command(NamedTuple):
 
 
 class Event(NamedTuple):
-    """One recorded event."""
+    """One recorded event: a text with time and level."""
 
     t_ns: int
-    """Time on the run's clock."""
+    """Time of the event on the run's clock, ns."""
     level: str
     """`debug`, `info`, `warning` or `error`."""
     text: str
@@ -83,7 +83,7 @@ class Event(NamedTuple):
 
 
 class LoggedFrame(NamedTuple):
-    """One CAN frame of a log."""
+    """One CAN frame of a log, received or sent, with its time and tick."""
 
     t_ns: int
     """End of a received frame on the wire, or tick of a sent frame; on the run's clock."""
@@ -102,14 +102,14 @@ class LoggedFrame(NamedTuple):
 
 
 def logged(items: Rows) -> Iterator[LoggedFrame]:
-    """Frames of `items` (`hil.record.unpack.ITEM`) one by one."""
+    """Yield CAN frames one by one from `items` (n,) of `hil.record.unpack.ITEM`."""
     frames = unpack_frames(items["frame"].tobytes())
     for (t_ns, can_id, kind, length, flags, data), tick in zip(frames, items["tick"].tolist(), strict=True):
         yield LoggedFrame(t_ns, tick, kind == SENT, flags // BUS, can_id, data[:length], flags % BUS)
 
 
 def assemble(rows: Rows, items: Rows, commands: Iterable[Command]) -> Iterator[Tick]:
-    """Ticks of `rows`, each with its frames and commands."""
+    """Yield the ticks of `rows` (n,), each with its frames from `items` (m,) of ITEM and its commands."""
     key = items["tick"] * 2 + (items["frame"]["kind"] == SENT)
     order = np.lexsort((items["index"], key))
     key, frames = key[order], as_bytes(items["frame"])[order].view(FRAME)

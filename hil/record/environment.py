@@ -25,12 +25,12 @@ _POLICIES = {os.SCHED_OTHER: "other", os.SCHED_FIFO: "fifo", os.SCHED_RR: "rr", 
 
 
 def product_version() -> str:
-    """Version of this product."""
+    """Installed version of hexapod-hil, or `unknown`."""
     return _version("hexapod-hil") or "unknown"
 
 
 def environment() -> dict[str, str]:
-    """Versions, git state, kernel, CPU and clock of this process."""
+    """Software versions, git commit, kernel, CPU and clock source of this process, as text by name."""
     cpu = re.search(r"^model name\s*:\s*(.*)", _read("/proc/cpuinfo"), re.MULTILINE)
     found = {
         "version": product_version(),
@@ -49,7 +49,7 @@ def environment() -> dict[str, str]:
 
 
 def scheduling() -> dict[str, str]:
-    """Scheduler and processors of this process; those of the loop only while it runs."""
+    """Scheduling policy, priority and allowed processors of this process at the time of the call."""
     policy = os.sched_getscheduler(0)
     name = _POLICIES.get(policy & ~os.SCHED_RESET_ON_FORK, policy)
     processors = ",".join(map(str, sorted(os.sched_getaffinity(0))))
@@ -68,7 +68,7 @@ def _version(name: str) -> str:
 
 @cache
 def _git() -> str:
-    """Commit (and -dirty) if the sources lie in their own repository."""
+    """Git commit of the sources, with -dirty if they are changed; empty outside of a repository."""
     root = Path(__file__).resolve().parents[2]
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
     if not (root / ".git").exists():

@@ -18,7 +18,7 @@ from hil.signals import explain
 def figures(rows: Rows) -> dict[str, Any]:
     """Figures of a run: tracking errors in mm, forces in N, wake-up lateness in us, tick counts.
 
-    The errors cover TRACKING only. `rows` has dtype ROW, one element per tick.
+    The errors cover ticks in mode TRACKING only. `rows` has dtype ROW, one element per tick.
     """
     tracking = rows["mode"] == Mode.TRACKING
     held = rows["mode"] == Mode.HELD
@@ -58,9 +58,9 @@ def figures(rows: Rows) -> dict[str, Any]:
 
 
 def bus_troubles(rows: Rows) -> dict[str, int]:
-    """Bus problems: frames, losses, and how often the CAN controller entered each error state.
+    """Counts of bus problems: error frames, losses, and entries of the CAN controller into error states.
 
-    A state counts if the previous tick had a better one. A jump to bus-off does not count as a warning too.
+    An error state counts if that of the previous tick was better; a jump to bus-off counts as bus-off only.
     """
     state = rows["bus_state"]
     before = np.concatenate([[BusState.UNKNOWN], state])[:-1]
@@ -77,13 +77,13 @@ def bus_troubles(rows: Rows) -> dict[str, int]:
 
 
 def limited_ticks(rows: Rows) -> dict[str, int]:
-    """Number of ticks at which each force limit acted."""
+    """Number of ticks at which each force limit reduced a force, by the name of its warning."""
     limits = (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)
     return {str(w.name): int(np.count_nonzero(rows["warnings"] & w)) for w in limits}
 
 
 def pushes(rows: Rows) -> dict[str, Any] | None:
-    """Number of probe pushes, in total and by leg, and the largest probe force.
+    """Number of force pulses that probed a leg (column probe_force), in total and by leg, and the largest, N.
 
     None if no leg was probed, or if the log is older than the column.
     """
@@ -96,7 +96,7 @@ def pushes(rows: Rows) -> dict[str, Any] | None:
 
 
 def certificate(rows: Rows) -> dict[str, Any]:
-    """Certificate figures: largest V, its bound there, largest share of the bound, alarms.
+    """Figures of the Lyapunov monitor: largest V, its bound there, largest share of the bound, alarms.
 
     The share is that of sqrt(V) on the worst axis, so it may be closer to 100 % than the sum over all axes.
     """
@@ -117,16 +117,16 @@ def certificate(rows: Rows) -> dict[str, Any]:
 
 
 def pose_errors(rows: Rows | Mapping[str, Array]) -> tuple[Array, Array]:
-    """Position errors (n, 3) in mm and rotation errors, rotation vectors (n, 3) in deg."""
+    """Position errors (n, 3) mm and rotation vectors (n, 3) deg from pose to reference, base frame."""
     return 1e3 * (rows["p_d"] - rows["p"]), np.rad2deg(rotation_errors(rows["R_d"], rows["R"]))
 
 
 FOLLOWED = ("q_d", "q", "p_d", "p", "R_d", "R", "tau", "dq")
-"""Columns that `errors` needs."""
+"""Columns that the function `errors` reads."""
 
 
 def errors(rows: Rows | Mapping[str, Array]) -> dict[str, float]:
-    """Tracking errors, peak force and peak leg rate of rows that follow a reference; empty without rows."""
+    """Tracking errors (mm, deg), peak force (N), peak leg rate (m/s) over all rows; empty without rows."""
     if not len(rows["q"]):
         return {}
     e_mm = (rows["q_d"] - rows["q"]) * 1e3

@@ -18,18 +18,18 @@ MAX_DATA = 64
 VARINT, FIXED64, LENGTH, FIXED32 = 0, 1, 2, 5
 """Protobuf wire types."""
 _WIRE_TYPES = {1: VARINT, 4: FIXED32, 8: FIXED64}
-"""Wire type by the size of the value in bytes."""
+"""Size of a value in bytes -> protobuf wire type."""
 FRAME_FLAGS = {
     "is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI,
 }  # fmt: skip
-"""Field of hil.Frame -> flag of `Frame`."""
+"""Field of hil.Frame -> flag of `drivers.protocol.Frame`."""
 _PLACES = ("seconds", "nanos", "id", "dlc", "direction", "tick", "index", "bus", *FRAME_FLAGS)
 SECONDS, NANOS, ID, DLC, DIRECTION, TICK, INDEX, BUS, FLAGS = range(3, 12)
-"""Columns of a `frame_table`; from FLAGS on, one for each of FRAME_FLAGS."""
+"""Columns of a `frame_table` with the offsets of fields; from FLAGS on, those of FRAME_FLAGS."""
 
 
 class Layout(NamedTuple):
-    """Constant wire layout of one record, or of several back to back."""
+    """Constant bytes of one MCAP record, or of several back to back."""
 
     template: Bytes
     """(size,) all constant bytes in place, the header of the MCAP Message record first."""
@@ -38,7 +38,7 @@ class Layout(NamedTuple):
 
 
 class Builder:
-    """Collects constant bytes and fields of one message. State: template and mask of its record."""
+    """Builds the layout of one protobuf message from its fields. State: template and mask of the record."""
 
     def __init__(self, channel: int) -> None:
         self._template = bytearray(RECORD_HEADER)
@@ -46,29 +46,29 @@ class Builder:
         self._mask = bytearray(RECORD_HEADER)
 
     def constant(self, data: bytes) -> None:
-        """Add constant bytes."""
+        """Append bytes that are equal in every record."""
         self._template += data
         self._mask += b"\xff" * len(data)
 
     def room(self, size: int) -> int:
-        """Add room for a value and give its offset in the record."""
+        """Reserve `size` bytes for a value; return their offset in the record."""
         place = len(self._template)
         self._template += bytes(size)
         self._mask += bytes(size)
         return place
 
     def field(self, number: int, size: int) -> int:
-        """Add a field of 1, 4 or 8 bytes and give the offset of its value."""
+        """Add a field of 1, 4 or 8 bytes; return the offset of its value in the record."""
         self.constant(varint(number << 3 | _WIRE_TYPES[size]))
         return self.room(size)
 
     def packed(self, number: int, size: int, count: int) -> list[int]:
-        """Add a packed list of `count` values and give their offsets."""
+        """Add a packed list of `count` values; return their offsets in the record."""
         self.constant(varint(number << 3 | LENGTH) + varint(count * size))
         return [self.room(size) for _ in range(count)]
 
     def message(self, number: int, size: int, count: int) -> list[int]:
-        """Add a message of `count` fields, numbered from 1, and give the offsets of their values.
+        """Add a nested message of `count` fields, numbered from 1; return the offsets of their values.
 
         All its tags have one size: with more than 15 fields they are varints padded to two bytes.
         """
@@ -82,7 +82,7 @@ class Builder:
         return places
 
     def layout(self) -> Layout:
-        """Layout of everything added so far."""
+        """Layout of the record with all fields added so far."""
         self._template[1:9] = (len(self._template) - 9).to_bytes(8, "little")
         return Layout(
             np.frombuffer(bytes(self._template), np.uint8), np.frombuffer(bytes(self._mask), np.uint8)
@@ -90,7 +90,7 @@ class Builder:
 
 
 def varint(value: int) -> bytes:
-    """Shortest varint of a number."""
+    """Shortest protobuf varint of a number >= 0."""
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
@@ -100,7 +100,7 @@ def varint(value: int) -> bytes:
 
 
 def _frame_layout(bus: bytes, channel: int) -> tuple[Layout, int, list[int]]:
-    """Layout of a hil.Frame without data on a bus, the offset of the data, and the other columns."""
+    """Layout of a hil.Frame on a bus without data bytes, offset of the data, offsets of its fields."""
     frame, places = Builder(channel), {}
     frame.constant(b"\x0a\x0e\x0a\x0c\x08")
     places["seconds"] = frame.room(5)

@@ -1,4 +1,4 @@
-"""Log of a run: ticks in order, columns, frames, events."""
+"""Reader of a log: ticks in order, columns, CAN frames, events."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
 __all__ = ["Event", "Log", "LogStatistics", "LoggedFrame", "Tick"]
 
 _SETTLED_NS = 1_000_000_000
-"""A frame is yielded once a frame this much later was read."""
+"""A frame is yielded after a frame that is this much later, ns, has been read."""
 
 PLANT_TOPIC = "/plant"
 """Topic of a plant's rows."""
 
 
 def plant_log_beside(path: Path) -> Path:
-    """Path of the plant's log that belongs to the run log `path`."""
+    """Path of the plant's log that `hil run --plant` writes next to the controller's log `path`."""
     return path.with_name(f"{path.stem}-plant{path.suffix}")
 
 
 class LogStatistics(NamedTuple):
-    """Size of a log and the end of its run."""
+    """Size and duration of a log, and how it was closed."""
 
     ticks: int
     """Number of rows: ticks of the controller, or steps of the plant in its log."""
@@ -47,20 +47,20 @@ class LogStatistics(NamedTuple):
     dropped: int
     """Ticks dropped by the recorder."""
     closed: str
-    """`clean`, `producer died`, `salvaged`, `cut`, or `unknown`."""
+    """How the log was closed: `clean`, `producer died`, `salvaged`, `cut` (truncated), or `unknown`."""
 
 
 class Log(LogFile):
     """Log of a run: ``Log("run.mcap").frame()``.
 
-    A cut log is read as far as it goes; `cut` is the reason. Only metadata and attachments stay in memory;
-    each call reads the file again.
+    A truncated log is read up to its last complete tick; `cut` states the reason. Only metadata and
+    attachments stay in memory; each call reads the file again.
 
     path: MCAP file of `hil run`, `hil sim` or `hil plant`.
     plant: the plant's log of the same run; by default the file that `hil run --plant` writes next to it.
 
-    Raises LogError: no such file, not MCAP, damaged, not written by this product, or cut within its first
-    bytes.
+    Raises LogError: no such file, not MCAP, damaged, not written by this product, or truncated within its
+    first bytes.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, plant: str | os.PathLike[str] | None = None) -> None:
@@ -74,7 +74,7 @@ class Log(LogFile):
     def open(cls, path: str | os.PathLike[str]) -> Log:
         """Open a complete log: reads all of it once and compares its checksums.
 
-        Raises LogError: as the class; also for a cut log, or if a checksum differs.
+        Raises LogError: as the class; also for a truncated log, or if a checksum differs.
         """
         log = cls(path)
         if log.cut:
@@ -91,11 +91,11 @@ class Log(LogFile):
         if not self._plant_path.exists():
             raise LogError(
                 f"{self.path}: {self._plant_path}, the plant's log, does not exist; `hil run --plant` and "
-                "`hil sim --plant-log` write it: name it with Log(path, plant=FILE)"
+                "`hil sim --plant-log` write it: give its path as Log(path, plant=FILE)"
             )
         log = Log(self._plant_path)
         if log.topic != PLANT_TOPIC:
-            raise LogError(f"{log.path}: holds {log.topic}, allowed: a log of a plant, {PLANT_TOPIC}")
+            raise LogError(f"{log.path}: topic {log.topic}, allowed: a log of a plant, {PLANT_TOPIC}")
         return log
 
     @cached_property
@@ -155,7 +155,7 @@ class Log(LogFile):
         return data_frame(self, lambda: self.plant, names, start_s, stop_s, numbers=numbers)
 
     def events(self) -> list[Event]:
-        """All events, in the order of the file."""
+        """All events of the run, in the order of the file."""
         return [event for (events,) in self._decoded(self._events_in) for event in events]
 
     def can_frames(self) -> Iterator[LoggedFrame]:
@@ -179,7 +179,7 @@ class Log(LogFile):
         yield from logged(pending)
 
     def ticks(self) -> Iterator[Tick]:
-        """Ticks in order, read block by block.
+        """Yield all ticks in order; the file is read block by block, so memory stays small.
 
         Raises LogError: the file is damaged.
         """

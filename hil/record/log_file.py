@@ -1,4 +1,4 @@
-"""File of a log: its metadata and attachments, and its messages, decoded chunk by chunk."""
+"""File of a log: its metadata, its attachments, and its messages, decoded chunk by chunk."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ _OPERATORS = frozenset(map(int, Operator))
 _SEQUENCE = 0xFFFFFFFF
 """Low 32 bits of a tick: the sequence number of its messages."""
 _OTHER_LAYOUT = "its layout is not that of the recorder"
-ADVICE, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before, and no more can be had of it"
-"""Advice for a damaged log."""
+ADVICE, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before; nothing more is recoverable"
+"""Advice in messages about a damaged log, and about one that was salvaged before."""
 
 
 class LogFile:
     """File of a log. State: metadata, attachments, and the channels seen so far.
 
-    Raises LogError: no such file, not MCAP, damaged, not written by this product, or cut within its first
-    bytes.
+    Raises LogError: no such file, not MCAP, damaged, not written by this product, or truncated within its
+    first bytes.
     """
 
     path: Path
@@ -66,7 +66,7 @@ class LogFile:
     cut: str
     """Reason why the file is incomplete; empty for a complete file."""
     columns: tuple[Column, ...]
-    """Columns of the rows."""
+    """Columns of the rows, with units and meanings."""
     dtype: np.dtype[np.void]
     """NumPy type of a row."""
     topic: str
@@ -76,7 +76,7 @@ class LogFile:
     can_channels: tuple[str, ...]
     """Name of each bus."""
     epoch_ns: int
-    """UTC of t_ns = 0."""
+    """UTC of t_ns = 0, ns."""
     lockstep: bool
     """True for simulated time, which starts at 2000-01-01."""
 
@@ -109,7 +109,7 @@ class LogFile:
 
     @property
     def _advice(self) -> str:
-        """Advice for damage: salvage the log, once."""
+        """Advice in messages about damage: to salvage the log, unless it was salvaged before."""
         return SALVAGED if SALVAGE in self.metadata else ADVICE
 
     @property
@@ -128,7 +128,7 @@ class LogFile:
             raise LogError(f"{self.path}: attachment {CONFIGURATION} is not text: {error}") from error
 
     def _check_file(self) -> tuple[str, int]:
-        """Reason why the file is cut (empty if complete), and its size, bytes; raises for a foreign file."""
+        """Reason why the file is truncated ("" if complete), and its size, bytes; LogError if not MCAP."""
         with self._reading(), open_regular(self.path) as file:
             head, size = file.read(len(MAGIC)), file.seek(0, os.SEEK_END)
             file.seek(max(size - len(MAGIC), 0))
@@ -138,13 +138,13 @@ class LogFile:
         if size < len(MAGIC) + _FOOTER or tail != MAGIC:
             return (
                 f"cut at {size} bytes, the end is missing (power loss, the recorder was killed, or the run "
-                "goes on): run `hil replay --salvage` on it to recover what is there"
+                "is not over): run `hil replay --salvage` on it to recover what is there"
             ), size
         return "", size
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Add the file name, and the advice for damage, to errors of a read."""
+        """Context that adds the file name, and advice about damage, to errors of reading the file."""
         try:
             yield
         except LogError as error:
@@ -156,7 +156,7 @@ class LogFile:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def _learn(self, record: Record) -> None:
-        """Store a complete metadata, attachment or channel record; the first of two with one name wins."""
+        """Store a complete metadata, attachment or channel record; of two with one name the first counts."""
         found: Any = record.parse() if record.complete else None
         match type(found).__name__:
             case "Metadata":
@@ -167,7 +167,7 @@ class LogFile:
                 self._topics[found.id] = found.topic
 
     def _decoded(self, *decode: Callable[[bytes, MessageTable], Any]) -> Iterator[list[Any]]:
-        """Yield the results of decoders for each chunk; for a cut chunk, only of its complete ticks.
+        """Yield the results of decoders for each chunk; for a truncated chunk, only of its complete ticks.
 
         Raises LogError: damaged file, or messages out of the recorder's order.
         """
@@ -187,7 +187,7 @@ class LogFile:
                 yield [each(data, table) for each in decode]
 
     def _messages_of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
-        """Indices of a topic's messages in a table."""
+        """Indices of the messages of a topic in the table of a chunk."""
         wanted = np.zeros(1 << 16, np.bool_)
         wanted[[number for number, each in self._topics.items() if each == topic]] = True
         return np.flatnonzero(wanted[table.channel])
@@ -236,7 +236,7 @@ class LogFile:
         return int(ticks[-1])
 
     def _messages(self, data: bytes, table: MessageTable, topic: str) -> Iterator[Any]:
-        """Yield the decoded commands or events of a chunk."""
+        """Yield the protobuf messages of a topic, operator commands or events, in a chunk."""
         for i in self._messages_of(table, topic).tolist():
             start, stop = int(table.offset[i]) + RECORD_HEADER, int(table.offset[i] + table.length[i])
             try:
@@ -268,7 +268,7 @@ class LogFile:
         return found
 
     def _rows_in(self, data: bytes, table: MessageTable) -> Rows:
-        """Rows of a chunk, in its order."""
+        """Rows of a chunk, in the order of the chunk, of dtype `self.dtype`."""
         mine = self._messages_of(table, self.topic)
         matrix = np.full((len(mine), self.dtype.itemsize // 8), np.nan).view(np.int64)
         if not unpack_rows(data, table.offset[mine], *self._row, matrix):
@@ -276,7 +276,7 @@ class LogFile:
         return matrix.view(self.dtype)[:, 0]
 
     def _frames_in(self, data: bytes, table: MessageTable) -> Rows:
-        """CAN frames of a chunk, in its order, as ITEM elements."""
+        """CAN frames of a chunk, in the order of the chunk, as elements of ITEM."""
         mine = self._messages_of(table, CAN_TOPIC)
         items = np.zeros(len(mine), ITEM)
         good = unpack_frames(data, table.offset[mine], table.length[mine], *self._frame, items)
@@ -286,7 +286,7 @@ class LogFile:
 
     @cached_property
     def origin_ns(self) -> int:
-        """`t_ns` of the first row: the origin of a frame's `t_s`; 0 without rows."""
+        """`t_ns` of the first row, at which the times `t_s` of `Log.frame` begin; 0 without rows."""
         return next((int(block["t_ns"][0]) for block in self.blocks("t_ns")), 0)
 
     def rows(self, *names: str, start_s: float | None = None, stop_s: float | None = None) -> Rows:
@@ -303,7 +303,7 @@ class LogFile:
     def blocks(
         self, *names: str, start_s: float | None = None, stop_s: float | None = None
     ) -> Iterator[Rows]:
-        """Yield the rows of `rows` block by block: for logs larger than memory.
+        """Yield what `rows` returns, block by block, for logs larger than memory.
 
         Raises LogError: as `rows`.
         """
@@ -320,7 +320,7 @@ class LogFile:
                 yield chosen if chosen.dtype == dtype else chosen[list(dtype.names or ())].astype(dtype)
 
     def _chosen(self, names: Sequence[str]) -> np.dtype[np.void]:
-        """NumPy type of rows with the given columns, by default all. Raises LogError: unknown column."""
+        """NumPy type of rows with the columns `names`, by default all. Raises LogError: unknown column."""
         there = {c.name: c for c in self.columns}
         unknown = [name for name in names if name not in there]
         if unknown:

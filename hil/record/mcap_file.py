@@ -38,11 +38,11 @@ _SUMMARY = (
 _MOST_TAKEN_BACK = 256
 """Most chunks that are removed to make room for the end of the file on a full disk."""
 _Place = tuple[int, int, tuple[int, int] | None, dict[int, int], dict[type, int]]
-"""State that the file can return to: position, CRC, span, messages by channel, records by kind."""
+"""State to which the file can return: position, CRC, time span, messages by channel, records by kind."""
 
 
 def record_bytes(record: mcap.McapRecord) -> bytes:
-    """Bytes of one record in the file."""
+    """Bytes of one MCAP record: opcode, length and content."""
     builder = RecordBuilder()
     record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]
@@ -81,7 +81,7 @@ class McapFile:
         self._span: tuple[int, int] | None = None
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._places: deque[_Place] = deque(maxlen=_MOST_TAKEN_BACK)
-        """State before each of the last chunks."""
+        """State of the file before each of the last chunks."""
         try:
             self._write(MAGIC + record_bytes(mcap.Header("", library)))
         except OSError:
@@ -89,25 +89,25 @@ class McapFile:
             raise
 
     def add(self, record: mcap.Schema | mcap.Channel) -> None:
-        """Write a schema or a channel."""
+        """Write a schema or channel record, also listed in the summary."""
         self._write(self._summarise(record))
 
     def add_metadata(self, name: str, data: Mapping[str, object]) -> None:
-        """Write a metadata record with its values as text."""
+        """Write a metadata record `name`, with the values of `data` as text."""
         texts = {key: str(value) for key, value in data.items()}
         record = record_bytes(mcap.Metadata(name=name, metadata=texts))
         self._summarise(mcap.MetadataIndex(self.position, len(record), name))
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes, time_ns: int, media_type: str) -> None:
-        """Write an attachment."""
+        """Write an attachment: content `data` with a name, a time in ns of UTC and a media type."""
         record = record_bytes(mcap.Attachment(time_ns, time_ns, name, media_type, data))
         place = self.position, len(record)
         self._summarise(mcap.AttachmentIndex(*place, time_ns, time_ns, len(data), name, media_type))
         self._write(record)
 
     def add_chunk(self, data: bytes | memoryview, channel: Ints, log_time: Ints, offset: Ints) -> None:
-        """Compress and write n > 0 Message records in `data`; the arrays (n,) describe them in order."""
+        """Compress and write n > 0 Message records; the arrays (n,) describe those in `data`, in order."""
         chunk = mcap.Chunk(
             compression="zstd",
             data=self._compressor.compress(data),
@@ -159,15 +159,15 @@ class McapFile:
 
     @property
     def messages(self) -> int:
-        """Messages written so far."""
+        """Number of messages of all channels written so far."""
         return sum(self._counts.values())
 
     def messages_of(self, channel: int) -> int:
-        """Messages of a channel written so far."""
+        """Number of messages of one channel written so far."""
         return self._counts.get(channel, 0)
 
     def finish(self) -> None:
-        """Write summary and footer, flush everything to the disk and close."""
+        """Write summary and footer, flush everything to the disk, and close the file."""
         self._write(record_bytes(mcap.DataEnd(self._crc)))
         self._summarise(self._statistics())
         summary_start, crc, groups = self.position, 0, b""
@@ -216,13 +216,13 @@ class McapFile:
             del records[kinds[kind] :]
 
     def close(self) -> None:
-        """Close the file as it is."""
+        """Close the file without a summary; further calls do nothing."""
         if self._fd >= 0:
             os.close(self._fd)
         self._fd = -1
 
     def discard(self) -> None:
-        """Close the file and remove it."""
+        """Close the file and delete it."""
         self.close()
         self.path.unlink()
 
@@ -242,7 +242,7 @@ class McapFile:
         )
 
     def _summarise(self, record: mcap.McapRecord) -> bytes:
-        """Add a record to the summary and give its bytes."""
+        """Add a record to the summary section; return the bytes of the record."""
         data = record_bytes(record)
         self._summary[type(record)].append(data)
         return data

@@ -1,8 +1,8 @@
 """MCAP records of an untrusted file, parsed with the record classes of the `mcap` library.
 
 The library's own readers trust the sizes in a file, need its index, and build an object for each message.
-This module limits what is read and unpacked, reads a cut file as far as it goes, and keeps the messages of a
-chunk as offsets into one buffer.
+This module limits what is read and unpacked, reads a truncated file up to its end, and keeps the messages of
+a chunk as offsets into one buffer.
 """
 
 import os
@@ -45,20 +45,20 @@ NOTHING = 0
 MAX_CHUNK = 1 << 24
 """Largest chunk, bytes, compressed or not."""
 MAX_RECORD = 1 << 26
-"""Largest other record, bytes."""
+"""Largest record other than a chunk, bytes."""
 FREE_BYTES, MAX_RATIO = 1 << 28, 40
-"""Largest unpacked log: a fixed allowance, bytes, and this much more per byte of the file
-(2 to 6 are usual)."""
+"""Limit of a log's decompressed size: fixed part, bytes, and part for each byte of the file (2 to 6 are
+usual)."""
 MESSAGE_BYTES = 256
-"""Allowance spent per message in addition to its bytes."""
+"""Bytes of the allowance that each message costs in addition to its content."""
 
 
 class DamageError(LogError):
-    """Damaged bytes in a log."""
+    """A log has damaged bytes; the message states where."""
 
 
 class Record(NamedTuple):
-    """One record; `content` may be incomplete."""
+    """One MCAP record of a file; `content` is shorter than `length` in a truncated file."""
 
     opcode: int
     offset: int
@@ -69,21 +69,21 @@ class Record(NamedTuple):
 
     @property
     def complete(self) -> bool:
-        """True if the whole content was read."""
+        """True if the record is valid and its whole content was read."""
         return self.opcode != NOTHING and len(self.content) == self.length
 
     @property
     def end(self) -> int:
-        """Position of the record's end according to its header."""
+        """Byte position in the file at which the record ends according to its header."""
         return self.offset + HEAD.size + self.length
 
     @property
     def whole(self) -> bytes:
-        """Header and the content that was read."""
+        """Bytes of the record: its header and the content that was read."""
         return HEAD.pack(self.opcode, self.length) + self.content
 
     def damaged(self, what: str) -> DamageError:
-        """Build the error for this record."""
+        """DamageError that states the byte position of this record and the text `what`."""
         return DamageError(f"damaged at byte {self.offset}: {what}")
 
     def parse(self) -> Any:
@@ -95,7 +95,7 @@ class Record(NamedTuple):
         try:
             found = kind and kind.read(stream)
         except _BROKEN:
-            what = f"a record of kind {self.opcode} with a field that ends behind it or is not text"
+            what = f"a record of kind {self.opcode} with a field that exceeds the record or is not text"
             raise self.damaged(what) from None
         if isinstance(found, Attachment):
             end = stream.count - 4
@@ -106,7 +106,7 @@ class Record(NamedTuple):
 
 
 class MessageTable(NamedTuple):
-    """Messages of a chunk; each array is (n,)."""
+    """Table of the messages in a chunk, for access without decoding; each array is (n,)."""
 
     channel: Ints
     sequence: Ints
@@ -117,7 +117,7 @@ class MessageTable(NamedTuple):
     """Length of the whole record, bytes; its data begin 31 bytes after `offset`."""
 
     def before(self, begun: NDArray[np.intp]) -> "MessageTable":
-        """Messages of the complete ticks of a cut chunk; the last tick is dropped, as it may lack frames.
+        """Messages of the complete ticks of a truncated chunk, without its last tick, which may lack frames.
 
         begun: indices of the rows; each row starts a tick.
         """
@@ -125,16 +125,16 @@ class MessageTable(NamedTuple):
 
 
 class Allowance:
-    """Unpacked bytes that a log may still take, as a small file could fill the memory. State: bytes left."""
+    """Limit on the decompressed size of a log, as a small file could fill the memory. State: bytes left."""
 
     def __init__(self, file_bytes: int) -> None:
         self._most = self._left = FREE_BYTES + MAX_RATIO * file_bytes
 
     def spend(self, size: int) -> None:
-        """Deduct bytes before they are unpacked. Raises LogError: fewer are left."""
+        """Deduct `size` bytes before they are decompressed. Raises LogError if fewer bytes are left."""
         self._left -= size
         if self._left < 0:
-            raise LogError(f"it unpacks to more than {self._most} bytes, which no log of its size does")
+            raise LogError(f"it unpacks to more than {self._most} bytes, the limit for a log of its size")
 
 
 def record_at(file: BinaryIO, at: int, skip: frozenset[int] = frozenset()) -> Record:
@@ -152,11 +152,11 @@ def record_at(file: BinaryIO, at: int, skip: frozenset[int] = frozenset()) -> Re
 
 
 def records(path: Path, skip: frozenset[int] = frozenset(), *, cut: bool = False) -> Iterator[Record]:
-    """Yield the records of the data section; for a cut file also its incomplete last record.
+    """Yield the records of the data section; for a truncated file also its incomplete last record.
 
     Records of the kinds in `skip`, and attachments larger than any of ours, are passed over.
 
-    Raises LogError: invalid or too large record in a file that is not cut; or the checksum of the data
+    Raises LogError: invalid or too large record in a file that is not truncated; or the checksum of the data
     section differs (compared only if nothing was passed over); OSError: unreadable file.
     """
     with open_regular(path) as file:
@@ -170,7 +170,7 @@ def records(path: Path, skip: frozenset[int] = frozenset(), *, cut: bool = False
                 crc = None
             elif not record.complete:
                 if not cut:
-                    raise record.damaged("no record, or one that is too long or ends behind the file")
+                    raise record.damaged("no valid record: it is too long, or ends after the end of the file")
                 if record.opcode != NOTHING:
                     yield record
                 return
@@ -185,7 +185,7 @@ def records(path: Path, skip: frozenset[int] = frozenset(), *, cut: bool = False
 
 
 def _unpacked(record: Record, allowance: Allowance) -> bytes:
-    """Unpack a chunk; an incomplete chunk as far as it goes."""
+    """Decompressed content of a chunk; of a truncated chunk only its readable beginning."""
     chunk = record.parse()
     size, data = chunk.uncompressed_size, bytes(chunk.data)
     if size > MAX_CHUNK:
@@ -206,7 +206,7 @@ def _unpacked(record: Record, allowance: Allowance) -> bytes:
 
 
 def messages_in(record: Record, allowance: Allowance) -> tuple[bytes, MessageTable, list[Channel]]:
-    """Bytes of a chunk, its messages, and the channels defined in it.
+    """Decompressed bytes of a chunk, table of its messages, and the channels defined in the chunk.
 
     For an incomplete chunk: its complete messages, or none if it is damaged as well.
 
@@ -222,17 +222,17 @@ def messages_in(record: Record, allowance: Allowance) -> tuple[bytes, MessageTab
 
 
 def _split(record: Record, data: bytes, allowance: Allowance) -> tuple[MessageTable, list[Channel]]:
-    """Find the complete records in the buffer of a chunk."""
+    """Table of the messages, and the channels, in the decompressed bytes of a chunk."""
     starts, end = scan(data)
     if end < len(data) and record.complete:
-        raise record.damaged(f"the last {len(data) - end} bytes of a chunk are no record")
+        raise record.damaged(f"the last {len(data) - end} bytes of a chunk are not a record")
     allowance.spend(MESSAGE_BYTES * len(starts))
     words = words_of(data)
     opcode, length = words[starts] & 0xFF, words[starts + 1] + HEAD.size
     channels = []
     for k in np.flatnonzero(opcode != Opcode.MESSAGE).tolist():
         if opcode[k] not in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            raise record.damaged("a record in a chunk that is no message, schema or channel")
+            raise record.damaged("a record in a chunk that is not a message, schema or channel")
         content = data[starts[k] + HEAD.size : starts[k] + length[k]]
         channels.append(Record(int(opcode[k]), record.offset, len(content), content).parse())
     mine = opcode == Opcode.MESSAGE

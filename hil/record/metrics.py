@@ -1,4 +1,4 @@
-"""Metrics of the samples of a run, as plain numbers."""
+"""Metrics of a run: peaks, RMS, step response, bandwidth, and terms of the leg forces."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from hil.trajectory.path import PoseSample
 
 
 def peak(x: Array) -> Array:
-    """Largest |x| of each column of x (n, m): (m,), unit of x; 0 without rows."""
+    """Largest absolute value of each column of x (n, m): (m,), in the unit of x; 0 without rows."""
     largest: Array = np.abs(x).max(axis=0, initial=0.0)
     return largest
 
@@ -37,7 +37,7 @@ def rotation_errors(R_d: Array, R: Array) -> Array:
 
 
 class StepResponse(NamedTuple):
-    """Response of a signal to a step of its set-point."""
+    """Rise time, overshoot and settling of a signal after a step of its set-point."""
 
     initial: float
     """Value before the step."""
@@ -54,8 +54,8 @@ class StepResponse(NamedTuple):
 def step_response(t: Array, y: Array, initial: float) -> StepResponse:
     """Rise time and overshoot of y (n,) at times t (n,) s after a step; y is `initial` before it.
 
-    The way runs from the initial value to the final value, not to the set-point. So a law with a steady-state
-    error has a rise time, too. Crossings are interpolated between samples.
+    The way runs from the initial value to the final value, not to the set-point. A law with a steady-state
+    error therefore has a rise time, too. Crossings are interpolated between samples.
     """
     tail = y[-max(1, len(y) // 10) :]
     final = float(tail.mean())
@@ -75,9 +75,9 @@ def bandwidth_Hz(t: Array, y: Array, initial: float) -> float:
     step. The frequency response is the Fourier transform of the increments, G(f) = sum (y_k - y_{k-1}) exp(-2
     pi i f t_k). The bandwidth is the first frequency where |G(f)| < |G(0)| / sqrt(2).
 
-    It is the bandwidth of the *feedback* for a step of the set-point; for a nonlinear law, of a step of this
-    size. nan without such a frequency below half the sampling rate. Inaccurate if the response has not
-    settled within the record.
+    The result is the bandwidth of the *feedback* for a step of the set-point; for a nonlinear law, of a step
+    of this size. nan without such a frequency below half the sampling rate. Inaccurate if the response has
+    not settled within the record.
     """
     increments = np.diff(y, prepend=initial)
     gain = abs(float(increments.sum()))
@@ -112,7 +112,7 @@ def _first_above(t: Array, share: Array, level: float) -> float:
 
 
 class Share(NamedTuple):
-    """Part of one term of the equation of motion in the leg forces along a path."""
+    """How much one term of the equation of motion contributes to the leg forces along a path."""
 
     share: float
     """Largest leg force of the term over the largest leg force at the same instant; the worst instant."""

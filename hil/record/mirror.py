@@ -1,7 +1,7 @@
 """Newest tick of a run in a memory file, readable by any process of this user.
 
-The recorder writes; readers copy and cannot delay it. The file lies in the runtime folder. It holds a
-description, then one piece that the next piece overwrites; a CRC shows whether the piece is whole.
+The recorder writes; readers copy and cannot delay it. The file lies in the runtime folder. The
+file holds a description of the run, then the newest content; a CRC shows whether the content is whole.
 """
 
 import contextlib
@@ -23,11 +23,11 @@ from hil.record.environment import product_version
 from hil.record.row import Table, columns_of
 
 _ABOUT = struct.Struct("<Q")
-"""Size in bytes of the description that follows."""
+"""Size in bytes of the description of the run, which follows."""
 _PIECE = struct.Struct("<QQQQ")
-"""Number, end flag, bytes of the content that follows, and CRC."""
+"""Head of the content: number, end flag, size of the content in bytes, CRC."""
 _LARGEST = 1 << 18
-"""Bytes reserved for a piece."""
+"""Bytes reserved for the content."""
 
 _FIGURES = "seen_ns ticks stale skipped late_ns compute_ns dropped waiting capacity log_bytes"
 FIGURES = np.dtype([(name, "<i8") for name in _FIGURES.split()])
@@ -37,33 +37,33 @@ lost; ticks that wait in the ring, and its capacity; bytes in the log."""
 
 
 def mirror_path(interface: str, channel: str) -> Path:
-    """File in which the controller's recorder on a bus shows its newest tick."""
+    """Path of the mirror file with the newest tick of the controller on a CAN bus."""
     return runtime_folder() / f"{safe_name(interface)}.{safe_name(channel)}.mirror"
 
 
 class Piece(NamedTuple):
-    """Newest row, figures and events at one instant."""
+    """Content of the mirror file at one instant: newest row, figures, last events."""
 
     number: int
-    """Number of pieces written so far."""
+    """Number of times the content was written so far."""
     ended: bool
-    """True if no piece follows."""
+    """True if the run has ended: the content is final."""
     row: np.void
-    """One element of the table's dtype."""
+    """Newest row of the run's table."""
     figures: np.void
-    """One element of FIGURES."""
+    """Figures of the recorder, an element of FIGURES."""
     events: list[dict[str, Any]]
     """Last events: number, t_ns, level, text."""
 
 
 class Mirror:
-    """Writer's end of the mirror. Mutable state: the file, the number of pieces, the last piece.
+    """Writer of the mirror file. Mutable state: the file, the number of pieces, the last piece.
 
     Raises OSError if the file cannot be created.
     """
 
     def __init__(self, path: Path, about: Mapping[str, object]) -> None:
-        """Create the file; `about` describes the run, with `version` of hil and `columns` as JSON."""
+        """Create the file; `about` describes the run: `version` of hil, `columns` as JSON text, and more."""
         text = json.dumps(about).encode()
         self._path, self._at = path, _ABOUT.size + len(text)
         self._number, self._content = 0, b""
@@ -74,12 +74,12 @@ class Mirror:
         new.replace(path)  # readers of an earlier run keep its file
 
     def write(self, row: np.void | Rows, figures: Rows, events: bytes = b"[]") -> None:
-        """Write a row of the table, figures () of FIGURES and events as a JSON list."""
+        """Replace the content: a row of the run's table, figures () of FIGURES, events as a JSON list."""
         self._number, self._content = self._number + 1, row.tobytes() + figures.tobytes() + events
         self._put(ended=False)
 
     def close(self) -> None:
-        """Mark the last piece as final and remove the file; open readers keep the last piece."""
+        """Mark the run as ended and remove the file; open readers keep its last content."""
         self._put(ended=True)
         with contextlib.suppress(OSError):
             if self._path.stat().st_ino == os.fstat(self._fd).st_ino:  # not the file of a later run
@@ -93,12 +93,12 @@ class Mirror:
 
 
 def _crc(number: int, ended: int, content: bytes) -> int:
-    """Checksum of a piece and its head: the head may be new while the rest is old."""
+    """Checksum over head and content, which shows a reader that a write between them is not finished."""
     return zlib.crc32(content, (2 * number + ended) & 0xFFFFFFFF)
 
 
 class MirrorReader:
-    """Read-only reader's end of the mirror. State: the mapping.
+    """Reader of a mirror file, which cannot delay its writer. State: the memory mapping.
 
     Raises FileNotFoundError if nothing runs, LogError if another version of this program runs.
     """
@@ -122,12 +122,12 @@ class MirrorReader:
 
     @property
     def newest(self) -> int:
-        """Number of the newest piece; 0 before the first."""
+        """Number of times the mirror was written; 0 before the first row."""
         number, *_ = _PIECE.unpack_from(self._map, self._at)
         return int(number)
 
     def read(self) -> Piece | None:
-        """Newest piece; None before the first, or while one is being written."""
+        """Newest content of the mirror; None before the first row, or while the writer replaces it."""
         number, ended, size, crc = _PIECE.unpack_from(self._map, self._at)
         start = self._at + _PIECE.size
         content = self._map[start : start + size]

@@ -33,7 +33,7 @@ _S = 1_000_000_000
 
 @helper
 def _put(out: Bytes, at: int, value: int, size: int) -> None:
-    """Store the low `size` bytes of a number; for a constant `size` the compiler emits one store."""
+    """Store the low `size` bytes of a number, lowest first; a constant `size` compiles to one store."""
     for k in range(size):
         out[at + k] = value >> 8 * k & 0xFF
 
@@ -53,7 +53,7 @@ def _put_bytes(out: Bytes, at: int, data: Bytes, first: int, size: int) -> None:
 
 @helper
 def _put_header(out: Bytes, at: int, tick: int, log_time: int, publish_time: int) -> None:
-    """Fill the header of a record; the template has its opcode, length and channel."""
+    """Fill tick and times, ns, into the header of the record at `at`; the template has all other bytes."""
     _put(out, at + 11, tick, 4)
     _put(out, at + 15, log_time, 8)
     _put(out, at + 23, publish_time, 8)
@@ -61,7 +61,7 @@ def _put_header(out: Bytes, at: int, tick: int, log_time: int, publish_time: int
 
 @helper
 def _put_row(out: Bytes, at: int, rows: Ints, first: int, places: Ints, placed: int) -> None:
-    """Fill the record of the row whose words begin at `first`."""
+    """Fill a row's record at `at`, copied from the template, with the words of `rows` from `first` on."""
     for k in range(placed):
         value, place, what = rows[first + places[3 * k]], at + places[3 * k + 1], places[3 * k + 2]
         if what == WHOLE:

@@ -1,7 +1,7 @@
 """Live outputs of the recorder: a status line, a mirror of the newest row, messages on a websocket.
 
-They copy from the ring and do not change how it is drained. The Foxglove SDK sends in its own threads; a
-client that reads too slowly loses the oldest messages.
+These outputs copy from the ring and do not change how it is emptied. The Foxglove SDK sends in its own
+threads; a client that reads too slowly loses the oldest messages.
 """
 
 import json
@@ -26,9 +26,9 @@ from hil.record.schema import LEVEL_NAMES, LIBRARY, Schema
 TERMINAL_S = 0.2
 """Time between two lines on a terminal, where each overwrites the one before."""
 PLAIN_S = 5.0
-"""Time between two lines of any other output."""
+"""Time between two lines of output that is not a terminal, s."""
 LOCKSTEP_S = 20.0
-"""The same for a run in simulated time; also the time before its first line."""
+"""Time between two lines for a run in simulated time without a terminal, and before its first line, s."""
 LAST_EVENTS = 40
 LONGEST_EVENT = 600
 """Most characters shown of one event; the log has all of them."""
@@ -37,7 +37,7 @@ _PEAKS = {"late_ns": "lateness_ns", "compute_ns": "compute_ns"}
 
 
 class Publisher:
-    """Fills a mirror from the ring of a run with rows of dtype ROW.
+    """Copies the newest row, figures and events of a run from the ring to the mirror file for `hil watch`.
 
     Mutable state: the number of rows counted, the figures, the last events.
     """
@@ -54,7 +54,7 @@ class Publisher:
         self._before, self._present = dict.fromkeys(_PEAKS, 0), dict.fromkeys(_PEAKS, 0)
 
     def publish(self, log_bytes: int) -> None:
-        """Show the newest published row; log_bytes: size of the log so far."""
+        """Write the newest row in the ring to the mirror; log_bytes: size of the log so far."""
         rows = self._ring.since(self._counted)
         if len(rows):
             self._count(rows)
@@ -66,7 +66,7 @@ class Publisher:
         self._mirror.write(self._ring.rows[(self._counted - 1) % self._ring.capacity], figures, self._text)
 
     def drained(self, batch: Batch) -> None:
-        """Count a batch before the ring releases its room."""
+        """Count the rows and keep the events of a batch, before the ring releases the batch."""
         first = self._ring.counters[READ]
         self._count(batch.rows[max(0, self._counted - first) :])
         found = np.flatnonzero((batch.items["kind"] == EVENT) & (batch.items["id"] == 0)).tolist()
@@ -85,7 +85,7 @@ class Publisher:
             self._text = json.dumps(list(self._events)).encode()
 
     def close(self) -> None:
-        """Show the last events and mark the end."""
+        """Write the last events to the mirror and mark the run as ended."""
         self.publish(int(self._figures["log_bytes"]))
         self._mirror.close()
 
@@ -106,7 +106,7 @@ class Publisher:
 
 
 class LiveView:
-    """Rewrites one line on a terminal, or adds one every few seconds elsewhere.
+    """Status line of a run: rewrites it on a terminal, or adds a line every few seconds elsewhere.
 
     Mutable state: the time of the next line, the counts so far, the lateness since the last line.
     """
@@ -125,7 +125,7 @@ class LiveView:
         self._late_us = 0.0
 
     def show(self, rows: Rows) -> None:
-        """Count a batch of rows of dtype ROW, and draw the line when it is due."""
+        """Count a batch of rows of dtype ROW, and draw the status line if its interval is over."""
         if not len(rows):
             return
         self._stale += int(np.count_nonzero(rows["warnings"] & Warn.STALE))
@@ -139,7 +139,7 @@ class LiveView:
         self._late_us = 0.0
 
     def line(self, row: Any) -> str:
-        """Status line for one row."""
+        """Text of the status line for one row: mode, progress, leg error, force, lateness, lost ticks."""
         mode = Mode(int(row["mode"]))
         parts = [f"{mode.name.lower():9s}"]
         if mode is Mode.TRACKING:
@@ -156,7 +156,7 @@ class LiveView:
         return "  ".join(parts)
 
     def end(self) -> None:
-        """Clear the line on a terminal."""
+        """Clear the status line on a terminal."""
         if self._terminal:
             self._draw("")
 
@@ -175,7 +175,7 @@ GOODBYE_S = 1.0
 
 
 class LiveSocket:
-    """Websocket server with the channels of a log. State: the server; None after an error or the end.
+    """Websocket server that sends a log's messages to viewers. State: the server; None after its end.
 
     Raises LogError: foxglove-sdk is not installed, or the server cannot listen at host and port.
     """
@@ -212,7 +212,7 @@ class LiveSocket:
         }
 
     def publish(self, messages: Messages) -> None:
-        """Send a batch to the subscribers of its channels. Never raises, never waits for a client."""
+        """Send a batch of messages to the subscribed viewers. Never raises, never waits for a viewer."""
         if self._server is None:
             return
         subscribed = {number: channel for number, channel in self._channels.items() if channel.has_sinks()}
@@ -228,7 +228,7 @@ class LiveSocket:
             self.close()
 
     def close(self) -> bool:
-        """Send the waiting messages and close; False if a client did not take them within GOODBYE_S."""
+        """Send the waiting messages and close; False if a viewer did not read them within GOODBYE_S."""
         if self._server is None:
             return True
         goodbye = threading.Thread(target=self._server.stop, daemon=True)

@@ -1,4 +1,4 @@
-"""Recorder process: drains the ring and writes the log until its producer closes or dies.
+"""Recorder process: writes the ticks in the ring to the log until its producer closes or dies.
 
 Signals do not end it. Command: `python -m hil.record RING_FD PRODUCER_PID`. It reads the set-up, then the
 summary, from standard input and answers on standard output (`hil.record.child` is the other end).
@@ -35,7 +35,7 @@ from hil.record.row import Run, Table
 from hil.record.schema import CLEAN, DISK_FULL, ENVIRONMENT, IDENTITY, LIBRARY, PRODUCER_DIED, SUMMARY
 
 FLUSH_S = 0.1
-"""Time between two chunks in real time; half of the data that a sudden end of all processes can lose."""
+"""Time between two chunks in real time, s; if all processes are killed, at most twice this time is lost."""
 _POLL_S = 0.02
 """Polling period for the newest row in real time."""
 _LOCKSTEP_POLL_S = 0.004
@@ -47,7 +47,7 @@ _MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".dbc": "tex
 
 
 class Recorder:
-    """One log being written. State: the ring's read side, the file, the live outputs."""
+    """Writer of one log. State: read position in the ring, the file, the live outputs."""
 
     def __init__(self, ring: Ring, run: Run, setup: Mapping[str, Any]) -> None:
         """Open the log; `setup` comes from `hil.record.recording.Recording.start`."""
@@ -88,7 +88,7 @@ class Recorder:
         self.file.sync()
 
     def run(self, control: _Control) -> None:
-        """Drain until the producer closes or dies; end the live outputs in any case."""
+        """Move ticks from the ring to the log until the producer closes or dies; end the live outputs."""
         try:
             self._drain_while(control)
         finally:
@@ -117,14 +117,14 @@ class Recorder:
             pass
 
     def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
-        """Write the summary, close the file and give the final reply; `summary` None: the producer died."""
+        """Write the summary, close the log and return the final reply; `summary` None: the producer died."""
         counts = self._counts(CLEAN if summary is not None else PRODUCER_DIED)
         self.file.add_metadata(SUMMARY, {**(summary or {}), **counts})
         self.file.finish()
         return self._final_reply(counts)
 
     def close_full(self, error: OSError) -> dict[str, object]:
-        """Close the log on a full disk with the content that fits, and give the final reply."""
+        """Close the log on a full disk with the content that fits, and return the final reply."""
         self.file.finish_within(SUMMARY, lambda: self._counts(DISK_FULL))
         return {
             **self._final_reply(self._counts(DISK_FULL)),
@@ -133,7 +133,7 @@ class Recorder:
         }
 
     def _final_reply(self, counts: Mapping[str, object]) -> dict[str, object]:
-        """Final reply to the producer about a closed log."""
+        """Final reply to the producer: counts, size and processor time of a closed log."""
         times = os.times()
         return {**counts, "size_bytes": self.file.position, "recorder_cpu_s": times.user + times.system}
 
@@ -146,7 +146,7 @@ class Recorder:
         }
 
     def _drain(self, limit: int) -> bool:
-        """Write up to `limit` ticks; False if the ring was empty."""
+        """Move up to `limit` ticks from the ring to the log; False if the ring was empty."""
         batch = self._ring.take(limit)
         if not len(batch.rows) and not len(batch.items):
             return False
@@ -162,7 +162,7 @@ class Recorder:
         return True
 
     def _write(self, messages: Messages) -> None:
-        """Write messages as chunks of about CHUNK_SIZE, cut between ticks."""
+        """Write messages as compressed chunks of about CHUNK_SIZE bytes that begin and end between ticks."""
         start, tick, data = messages.start, messages.tick, messages.data.data
         chunks = math.ceil(int(start[-1]) / CHUNK_SIZE)
         tick_starts = np.append(0, np.flatnonzero(tick[1:] != tick[:-1]) + 1)
@@ -179,7 +179,7 @@ class Recorder:
 
 
 def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> Publisher | None:
-    """Publisher of a run for watchers; None without a mirror, or if the mirror cannot be created."""
+    """Writer of the mirror file for `hil watch`; None without a mirror, or if it cannot be created."""
     if mirror is None:
         return None
     try:
@@ -190,7 +190,7 @@ def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> 
 
 
 class _Control:
-    """Watch on the producer: its summary on a pipe, and its life. State: the summary."""
+    """Waits for the end of the producer: its summary on a pipe, or its death. State: the summary."""
 
     def __init__(self, pipe: IO[bytes], producer: int) -> None:
         self._pipe = pipe
@@ -205,7 +205,7 @@ class _Control:
         self._orphan = os.getppid() != producer
 
     def ended(self, timeout_s: float) -> bool:
-        """Wait up to `timeout_s`; True if the producer has closed or died."""
+        """Wait up to `timeout_s`; True if the producer has closed the recording or died."""
         ready = {fd for fd, _ in self._poll.poll(timeout_s * 1000.0)}
         if self._pipe.fileno() in ready:
             self.summary = receive(self._pipe)
@@ -214,13 +214,13 @@ class _Control:
 
 
 def answer(message: Mapping[str, object]) -> None:
-    """Send an answer to the producer, if it still listens."""
+    """Send an answer to the producer process, unless that has ended."""
     with contextlib.suppress(OSError):
         os.write(sys.stdout.fileno(), pickle.dumps(message))
 
 
 def _recorded(recorder: Recorder, control: _Control) -> dict[str, object]:
-    """Record until the producer closes or dies, or the disk is full; the result is the final reply."""
+    """Record until the producer closes or dies, or the disk is full; return the final reply."""
     try:
         recorder.run(control)
         return recorder.close(control.summary)
@@ -231,7 +231,7 @@ def _recorded(recorder: Recorder, control: _Control) -> dict[str, object]:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the recorder; the result is the exit code."""
+    """Run the recorder process; return its exit code: 0 for a closed log, 1 after an error."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())

@@ -53,7 +53,7 @@ class RecorderEndedError(LogError):
 
 
 class Scene(NamedTuple):
-    """Geometry for the 3D view of the log."""
+    """Joint positions for the 3D view in the log."""
 
     base_joints: Sequence[Sequence[float]]
     """(6, 3) m, base frame."""
@@ -63,18 +63,18 @@ class Scene(NamedTuple):
 
 
 class Live(NamedTuple):
-    """Live outputs of a run while it is recorded."""
+    """Outputs of a run that can be seen while it is recorded."""
 
     status: bool = False
-    """Status line on standard error; for rows of TICKS only."""
+    """True: status line on standard error, for rows of TICKS only."""
     reference_s: float | None = None
-    """Length of the reference, for the progress in the status line."""
+    """Length of the reference, s, for the progress in the status line."""
     websocket: tuple[str, int] | None = None
     """Host and port for viewers; in real time only."""
 
 
 class LogSummary(NamedTuple):
-    """State of the log after the run."""
+    """What a log holds after the run, what is missing, and why."""
 
     path: Path
     ticks: int
@@ -209,7 +209,7 @@ class Recording:
         setpoints: Sequence[SetPoint] = (),
         orders: Sequence[Order] = (),
     ) -> None:
-        """Record one tick like `tick`, with frames as elements of FRAME that carry kind, time and bus."""
+        """Record one tick like `tick`, with frames as arrays (n,) of FRAME, which hold kind, time and bus."""
         data = received.tobytes() + sent.tobytes()
         if operator or setpoints or orders:
             now = int(row["t_ns"])
@@ -228,7 +228,7 @@ class Recording:
         self._publish(1, count)
 
     def ticks_of_items(self, rows: Rows, items: Rows, ends: Ints) -> None:
-        """Record ticks without commands; ends: number of items up to the end of each tick."""
+        """Record ticks without commands; ends (n,): number of frames in `items` to the end of each tick."""
         ring, count = self._ring, len(rows)
         if count > 1 and (2 * count > ring.capacity or 2 * len(items) > ring.item_capacity):
             half = count // 2
@@ -243,7 +243,7 @@ class Recording:
             self._drop(count)
 
     def _publish(self, ticks: int, items: int) -> None:
-        """Make ticks in the ring and their items visible to the recorder."""
+        """Make ticks written to the ring, with their items, visible to the recorder process."""
         self._items += items
         fence()
         self.ticks += ticks
@@ -254,7 +254,7 @@ class Recording:
         self._counters[DROPPED] = self.dropped
 
     def event(self, t_ns: int, level: str, text: str) -> None:
-        """Record a text of `level` debug, info, warning or error; it precedes the next tick."""
+        """Record a text of `level` debug, info, warning or error at t_ns, before the next tick."""
         data = text.encode(errors="replace")  # it may contain a file name that is not UTF-8
         pieces = [data[i : i + _PIECE] for i in range(0, len(data), _PIECE)] or [b""]
         if not self._has_room(len(pieces)):
@@ -266,7 +266,7 @@ class Recording:
         self._counters[EVENTS] = self._items
 
     def close(self, summary: Mapping[str, object] | None = None, *, timeout_s: float = 60.0) -> LogSummary:
-        """Drain the ring and close the log; `summary` goes into its metadata.
+        """Wait until the recorder has written all ticks, close the log; `summary` goes into its metadata.
 
         A dead recorder raises no error here: the result reports it.
         """
@@ -296,7 +296,7 @@ class Recording:
         )
 
     def _last_words(self, timeout_s: float) -> Mapping[str, Any]:
-        """Final reply of the recorder, read once."""
+        """Final reply of the recorder process, waited for up to `timeout_s` and read once."""
         if self._reply is None:
             self._reply = answer(self._process, timeout_s)
         return self._reply
@@ -306,7 +306,7 @@ class Recording:
         return str(reply.get("error", "" if "ticks" in reply else died))
 
     def _has_room(self, count: int, rows: int = 1) -> bool:
-        """True if rows and `count` items fit; in lockstep, wait until they do."""
+        """True if `rows` rows and `count` items fit into the ring; in lockstep, wait until they do."""
         ring, counters = self._ring, self._counters
         while (
             self.ticks + rows - counters[READ] > ring.capacity
@@ -329,7 +329,7 @@ class Recording:
 
 
 def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
-    """Recorder process with its log open. Raises LogError."""
+    """Start the recorder process and wait until its log is open. Raises LogError."""
     process = spawn(ring)
     try:
         from hil.record.packer import pack  # noqa: PLC0415 - Numba; the process starts meanwhile

@@ -2,7 +2,8 @@
 
 Two rings side by side: `rows` has one element per tick; `items` has one per frame, operator command or piece
 of an event's text. `ends` has the end of each tick's items. Each side stores only its own counters, as
-aligned eight-byte words, after the data that they count. So the consumer never sees an unfinished tick.
+aligned eight-byte words, after the data that they count. The consumer therefore never sees an unfinished
+tick.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ flags the level."""
 
 
 def pack_numbers(numbers: Sequence[float]) -> bytes:
-    """Numbers of a command as the data of an item: float64, at most eight."""
+    """Bytes of at most eight numbers of a command, as float64, for the data of an item."""
     return struct.pack(f"<{len(numbers)}d", *numbers)
 
 
 def unpack_numbers(data: bytes) -> tuple[float, ...]:
-    """Numbers of a command from the data of an item."""
+    """Numbers of a command from the data bytes of an item."""
     return struct.unpack(f"<{len(data) // 8}d", data)
 
 
@@ -48,7 +49,7 @@ _lock = Lock()
 
 
 def fence() -> None:
-    """Order memory accesses by two lock round trips: release, then acquire."""
+    """Order this process's memory accesses, by two locks: none moves across this call."""
     with _lock:
         pass
     with _lock:
@@ -56,16 +57,16 @@ def fence() -> None:
 
 
 class Batch(NamedTuple):
-    """Consecutive ticks, possibly with events after the last one."""
+    """Consecutive ticks from the ring with their items, possibly with events after the last tick."""
 
     rows: Rows
     items: Rows
     tick: Ints
-    """For each item, the index of its row in `rows`; len(rows) for events after the last row."""
+    """(items,) index in `rows` of the row of each item; len(rows) for events after the last row."""
 
 
 class Ring:
-    """Shared mapping; `create` makes a new one, `Ring(fd, ...)` attaches to an inherited one."""
+    """Ring in shared memory: `create` makes a new one, `Ring(fd, ...)` maps an inherited one."""
 
     def __init__(self, fd: int, dtype: np.dtype[np.void], capacity: int) -> None:
         self.fd = fd
@@ -90,21 +91,21 @@ class Ring:
 
     @classmethod
     def create(cls, dtype: np.dtype[np.void], capacity: int) -> Ring:
-        """Create a ring over an anonymous file."""
+        """New ring for rows of `dtype`, with room for `capacity` ticks, in an anonymous memory file."""
         return cls(os.memfd_create("hil-ring"), dtype, capacity)
 
     def close_fd(self) -> None:
-        """Close the file descriptor; the mapping stays."""
+        """Close the file descriptor; the memory stays mapped."""
         if self.fd >= 0:
             os.close(self.fd)
         self.fd = -1
 
     def put(self, number: int, data: bytes) -> None:
-        """Copy the bytes of items to their places from `number` on; the caller has checked the room."""
+        """Copy the bytes of items to the places from item `number` on; the caller checks for room."""
         _put(self.item_bytes, number % self.item_capacity * FRAME.itemsize, data)
 
     def put_rows(self, number: int, rows: Rows, ends: Ints) -> None:
-        """Copy rows, and the end of the items of each, to their places from `number` on."""
+        """Copy rows, and the end of each row's items, to the places of row `number` and the next ones."""
         place = number % self.capacity
         if rows.dtype is not self.rows.dtype:
             rows = rows.astype(self.rows.dtype)
@@ -112,7 +113,7 @@ class Ring:
         _put(self._ends_array, place, ends)
 
     def ready(self, limit: int) -> bool:
-        """True if `limit` rows wait, or if items take a quarter of their room."""
+        """True if `limit` rows wait for the consumer, or if items take a quarter of their room."""
         events = self.counters[EVENTS]
         written, read = self.counters[WRITTEN], self.counters[READ]
         end = self.ends[(written - 1) % self.capacity]
@@ -121,7 +122,7 @@ class Ring:
         )
 
     def take(self, limit: int) -> Batch:
-        """Up to `limit` published rows with their items; `release` gives their room back.
+        """Up to `limit` published rows with their items, for the consumer; `release` frees their memory.
 
         Fewer rows if their items take a quarter of the room: the end of a batch depends on the content of the
         ring, not on the time of the read. The arrays may be views of the ring, valid until `release`.
@@ -146,13 +147,13 @@ class Ring:
         return Batch(rows, _span(self._items, first, end), tick)
 
     def since(self, row: int) -> Rows:
-        """Published rows from number `row` on, none of them released; the array may be a view of the ring."""
+        """Published rows from number `row` on, which must not be released yet; may be a view of the ring."""
         written = self.counters[WRITTEN]
         fence()
         return _span(self.rows, row, written)
 
     def release(self, batch: Batch) -> None:
-        """Give the room of the last batch back to the producer."""
+        """Free the memory of the last batch for the producer."""
         fence()
         self.counters[READ_ITEMS] += len(batch.items)
         self.counters[READ] += len(batch.rows)
@@ -169,7 +170,7 @@ def _put(ring: Any, first: int, values: Any) -> None:
 
 
 def _span(ring: NDArray[Scalar], start: int, stop: int) -> NDArray[Scalar]:
-    """Elements start..stop of an endless sequence, of which the ring holds the end."""
+    """Elements start .. stop of an endless sequence whose last elements the ring holds."""
     first, last = start % len(ring), stop % len(ring)
     if start == stop:
         return ring[:0]

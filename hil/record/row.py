@@ -22,11 +22,11 @@ from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_fil
 
 NUMBER = "_number"
 UNNAMED = 127
-"""Enum value for numbers from here on, or below 0."""
+"""Enum value in the log for numbers without a name: from this value on, or below 0."""
 WHOLE, NAMED = -1, -2
-"""Content of a field: all eight bytes of a number, or its enum value."""
+"""What a field holds: all eight bytes of a number, or the enum value of its name."""
 MOST_ROW_BYTES = 1 << 16
-"""Largest row of a log; our own rows take a twentieth."""
+"""Largest row that a log may have, bytes; rows of our recorder take a twentieth."""
 _LONGEST_TEXT, _MOST_AXES = 500, 4
 _MOST_BUSES, _LONGEST_BUS = 16, 4096
 """Most buses in a log, and most characters in a bus name; each name needs its own frame layout."""
@@ -35,18 +35,18 @@ _TABLES = 16
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,99}")
 """Allowed names of enumeration values; Python itself refuses `mro`."""
 _MOST_ELEMENTS = 63
-"""Most elements: the bits of a number; their tags take at most two bytes."""
+"""Largest number of elements with names: the bits of a number; their tags take at most two bytes."""
 
 
 class Table(NamedTuple):
-    """Topic and columns of one kind of row."""
+    """Topic and columns of one kind of log row."""
 
     topic: str
     columns: tuple[Column, ...]
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """Type of a row: one object per table, so that a row enters the ring in one copy."""
+        """NumPy type of a row: one object per table, so that a row enters the ring in one copy."""
         return _dtype(self.columns)
 
     def check(self) -> None:
@@ -84,17 +84,17 @@ def _dtype(columns: tuple[Column, ...]) -> np.dtype[np.void]:
 
 
 TICKS = Table("/tick", RECORDED)
-"""The rows of the controller."""
+"""Table of the controller's rows."""
 
 
 def completed(columns: tuple[Column, ...]) -> tuple[Column, ...]:
-    """Columns of a log, extended by LATER if it is a log of ticks without them."""
+    """Columns of a log; a log of ticks from an older version also gets the columns LATER."""
     older = [c.name for c in RECORDED[: -len(LATER)]]
     return (*columns, *LATER) if [c.name for c in columns] == older else columns
 
 
 def describe(columns: Sequence[Column]) -> str:
-    """Table of columns as JSON, which `columns_of` reads."""
+    """Columns as JSON text, which `columns_of` reads."""
     return json.dumps(
         [
             {
@@ -140,19 +140,19 @@ OLD = "a log of version 0.1.0: read and replay it with that version"
 
 
 def why(error: Exception) -> str:
-    """Reason, in words, for an exception of REFUSED from untrusted input."""
+    """Text of an exception in REFUSED, for a message about untrusted input."""
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]!r}" if error.args else "something is missing"
     return str(error) or type(error).__name__
 
 
 class Run(NamedTuple):
-    """Description of a log's rows and frames, from the metadata record `hil`."""
+    """Columns, buses and clock of a log, from its metadata record `hil`."""
 
     topic: str
     columns: tuple[Column, ...]
     epoch_ns: int
-    """UTC of t_ns = 0."""
+    """UTC of t_ns = 0, ns."""
     can_channels: tuple[str, ...]
     """Name of each bus."""
     lockstep: bool
@@ -193,7 +193,7 @@ def _name(value: Any) -> str:
 
 
 def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:
-    """Fields of the message in order: name, column, and True for the field of names."""
+    """Yield the fields of a row's protobuf message: name, column, and True if the field has names."""
     for c in columns:
         named = bool(c.names)
         yield (c.name + NUMBER if named else c.name), c, False
@@ -202,7 +202,7 @@ def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:
 
 
 class RowCodec:
-    """Layout of rows as messages on a channel: where each number is written and read."""
+    """Layout of rows as protobuf messages: the byte at which each number of a row is written and read."""
 
     def __init__(self, columns: Sequence[Column], channel: int = 0) -> None:
         self.dtype = Table("", tuple(columns)).dtype
@@ -226,7 +226,7 @@ class RowCodec:
 
     @property
     def read(self) -> Ints:
-        """Offsets (n,) in a record of the words of a row, in the order of the row."""
+        """Offsets (n,), in a row's record, of the 8-byte words of the row, in their order."""
         _, places, what = self.places.T
         found: Ints = places[what == WHOLE]
         return found

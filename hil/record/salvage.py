@@ -47,8 +47,8 @@ class Lost(NamedTuple):
 def surviving(path: Path) -> Iterator[Record | Lost]:
     """Records of the data section in order, and the lost bytes between them.
 
-    A record counts if the record after it may be valid, if it is whole by itself, or if nothing better
-    follows. A truncated record comes last and is not complete.
+    A record is accepted if the next record may be valid, if its own content and checksum are valid, or if
+    no valid record follows. A truncated record comes last and is not complete.
 
     Raises LogError: more bytes to unpack than allowed; OSError.
     """
@@ -83,7 +83,7 @@ def _is_whole(record: Record, allowance: Allowance) -> bool:
 
 
 def _next(file: BinaryIO, start: int, size: int, allowance: Allowance) -> int | None:
-    """Offset of the next whole chunk or description of the run; None without one."""
+    """Byte offset of the next undamaged chunk or description of the run; None without one."""
     for at in range(start, size, _WINDOW):
         file.seek(at)
         for found in _BEGIN.finditer(file.read(_WINDOW + _BEGIN_BYTES)):
@@ -95,14 +95,14 @@ def _next(file: BinaryIO, start: int, size: int, allowance: Allowance) -> int | 
 
 @dataclass
 class SalvageReport:
-    """Recovered and lost parts of a log. Mutable during the salvage."""
+    """Recovered and lost parts of a log. Mutable until the salvage is complete."""
 
     out: Path
     ticks: int = 0
     bytes_lost: int = 0
     """Bytes of the original that could not be recovered."""
     ticks_lost: int = 0
-    """Ticks of damaged chunks, as far as the message index after each counts them."""
+    """Ticks in damaged chunks, as far as their message indexes count them."""
     remarks: tuple[str, ...] = ()
 
 
@@ -134,13 +134,13 @@ def _described(path: Path) -> tuple[dict[str, str], dict[int, str]]:
 
 
 class _Salvage:
-    """One salvage in progress. State: the new file, and the findings so far.
+    """A salvage of one log in progress. State: the new file, and the findings so far.
 
     Raises OSError.
     """
 
     def __init__(self, source: Path, size: int, file: McapFile, out: Path, rows: Collection[int]) -> None:
-        """source: a log of `size` bytes; out: name of the new file; rows: channels of rows."""
+        """source: log of `size` bytes; file: the new log; out: its name; rows: channels that hold rows."""
         self.source, self.size, self.file, self.report = source, size, file, SalvageReport(out)
         self.remarks: list[str] = []
         self._allowance, self._rows = Allowance(size), list(rows)
@@ -150,7 +150,7 @@ class _Salvage:
         """True if the next message index belongs to a chunk that is left out."""
 
     def work(self) -> None:
-        """Copy the readable records of the original."""
+        """Copy the readable records of the original to the new log."""
         for record in surviving(self.source):
             if isinstance(record, Lost):
                 start, stop = record
@@ -191,7 +191,7 @@ class _Salvage:
             self.file.add_metadata(found.name, found.metadata)
 
     def _chunk(self, record: Record) -> None:
-        """Copy a chunk; of a truncated one only the complete ticks, which replay needs."""
+        """Copy a chunk; of a truncated chunk only the complete ticks, since replay needs whole ticks."""
         data, table, _ = messages_in(record, self._allowance)
         begun = np.flatnonzero(np.isin(table.channel, self._rows))
         if not record.complete:
@@ -207,7 +207,7 @@ class _Salvage:
             self._lose(len(record.whole), f"{where}: {count} messages of it recovered")
 
     def close(self) -> None:
-        """Write the losses and the end of the run, and close the file."""
+        """Write a record of the losses and the summary of the run, and close the new log."""
         report, end, remarks = self.report, self._end or {}, self.remarks[:_REMARKS]
         if len(self.remarks) > _REMARKS:
             remarks.append(f"and {len(self.remarks) - _REMARKS} more places")
@@ -286,7 +286,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
 
 
 def _give_name(temporary: Path, target: Path) -> None:
-    """Give a complete file its name. Raises FileExistsError if the name was taken meanwhile."""
+    """Rename a complete file to `target`. Raises FileExistsError if this name was taken meanwhile."""
     try:
         os.link(temporary, target)
     except FileExistsError:

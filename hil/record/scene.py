@@ -29,7 +29,7 @@ _ORANGE = Color(r=0.93, g=0.55, b=0.14, a=1.0)
 
 
 _PLANES = ((0, 1), (1, 2), (2, 0))
-"""Pairs of axes of a frame, each from one towards the next."""
+"""Pairs of axes that span the planes of a frame: xy, yz, zx."""
 
 
 def around(joints: Array) -> NDArray[np.intp]:
@@ -63,7 +63,7 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
 
 
 def transforms(row: Rows, stamp: Timestamp) -> list[bytes]:
-    """Serialised FrameTransforms of one row: the platform, and the reference if there is one."""
+    """Serialised foxglove.FrameTransform of the platform in a row, and of the reference if it has one."""
     messages = []
     for name, p_column, R_column in _POSES:
         pose = _pose(row, p_column, R_column)
@@ -84,7 +84,7 @@ def transforms(row: Rows, stamp: Timestamp) -> list[bytes]:
 
 
 class SceneDrawer:
-    """Draws base, platform and legs as lines."""
+    """Draws base, platform and legs of a row as lines of a foxglove.SceneUpdate."""
 
     def __init__(self, scene: Scene) -> None:
         self._a = np.array(scene.base_joints, float)
@@ -93,7 +93,7 @@ class SceneDrawer:
         self._thickness = 0.02 * float(np.linalg.norm(self._a, axis=1).max())
 
     def update(self, row: Rows, stamp: Timestamp) -> bytes | None:
-        """Serialised SceneUpdate of a row; None without a pose."""
+        """Serialised foxglove.SceneUpdate of a row; None for a row without a pose."""
         pose = _pose(row, "p", "R")
         if pose is None:
             return None

@@ -38,7 +38,7 @@ class Schema(NamedTuple):
 
 
 def frame_schema() -> Schema:
-    """Schema of hil.Frame: fields named as in can_msgs/Frame, and fields for CAN FD and replay."""
+    """Protobuf schema of hil.Frame, a CAN frame with the names of can_msgs/Frame, and more for CAN FD."""
     file = new_file(FRAME)
     header = file.message_type.add(name="Header")
     add_field(header, "stamp", 1, Type.TYPE_MESSAGE, type_name=".google.protobuf.Timestamp")
@@ -77,7 +77,7 @@ def frame_schema() -> Schema:
 
 
 def operator_schema() -> Schema:
-    """Schema of hil.OperatorCommand."""
+    """Protobuf schema of hil.OperatorCommand, a recorded operator command."""
     file = new_file(OPERATOR)
     file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
     kinds = file.enum_type.add(name="Operator")
@@ -95,7 +95,7 @@ def operator_schema() -> Schema:
 
 
 def message_class(schema: Schema) -> Any:
-    """Message class of a schema, built from its own descriptors."""
+    """Python class of a protobuf message type, built from the descriptors in its schema."""
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(schema.descriptors).file:
         pool.Add(file)
@@ -103,7 +103,7 @@ def message_class(schema: Schema) -> Any:
 
 
 def new_file(name: str) -> descriptor_pb2.FileDescriptorProto:
-    """File descriptor with one empty message of this full name."""
+    """Protobuf file descriptor with one message, `name` with its package, that has no fields yet."""
     package, _, message = name.rpartition(".")
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{package}/{message}.proto", package=package, syntax="proto3"
@@ -121,7 +121,7 @@ def add_field(
     type_name: str = "",
     repeated: bool = False,
 ) -> None:
-    """Add a field to a message."""
+    """Add a field to the descriptor of a protobuf message."""
     label = Type.LABEL_REPEATED if repeated else Type.LABEL_OPTIONAL
     field = message.field.add(name=name, number=number, type=kind, label=label)
     if type_name:
@@ -129,7 +129,7 @@ def add_field(
 
 
 def comment(file: descriptor_pb2.FileDescriptorProto, index: int, text: str) -> None:
-    """Attach a comment to field `index` of the file's first message."""
+    """Attach a comment to field `index`, from 0, of the first message in a protobuf file descriptor."""
     file.source_code_info.location.add(
         path=[4, 0, 2, index], span=[index + 1, 0, 0], leading_comments=f" {text}\n"
     )
@@ -146,5 +146,5 @@ def files(file: Any) -> list[descriptor_pb2.FileDescriptorProto]:
 
 
 def schema_of(name: str, files: Sequence[descriptor_pb2.FileDescriptorProto]) -> Schema:
-    """Schema of the message `name`, which the last of the files defines."""
+    """Schema of the message with the full name `name`, which is defined in the last of the files."""
     return Schema(name, descriptor_pb2.FileDescriptorSet(file=files).SerializeToString(deterministic=True))

@@ -1,4 +1,4 @@
-"""Components of columns, concatenation of rows, and names of enumeration values."""
+"""Selection of columns and their components, joined rows, and names of enumeration values."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from drivers.tick_columns import Column
 
 
 class Component(NamedTuple):
-    """One element of a log column: a column of its own in a table."""
+    """One element of a log column, such as one leg's force, with its label and unit."""
 
     label: str
-    """Label, such as `tau.leg_3`."""
+    """Name of the component, such as `tau.leg_3`."""
     unit: str
     column: Column
     element: int
-    """Index in the column, in row-major order."""
+    """Index of the element in the column, in row-major order."""
 
     def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.float64 | np.int64]]:
-        """Values (n,) in rows, as a copy."""
+        """Values (n,) of this component in `rows` (n,), as a copy."""
         values = rows[self.column.name].reshape(len(rows), self.column.size)
         return np.ascontiguousarray(values[:, self.element])
 
@@ -36,12 +36,12 @@ def as_bytes(rows: Rows) -> Rows:
 
 
 def together(parts: Sequence[Rows]) -> Rows:
-    """Concatenate parts (one or more) of one type."""
+    """Concatenate one or more arrays of rows of equal dtype."""
     return np.concatenate(list(map(as_bytes, parts))).view(parts[0].dtype)
 
 
 def components(columns: Sequence[Column], names: Sequence[str], log: str) -> list[Component]:
-    """Components of the named columns or components; all without a name.
+    """Components of the columns `names`, each a column or one of its components; all without names.
 
     log: file name for the message. Raises LogError: unknown column or component.
     """
@@ -78,7 +78,7 @@ def name_of(column: Column, value: float) -> str:
 
 
 def no_column(name: str, known: Sequence[str]) -> str:
-    """Message about an unknown column, with similar names."""
+    """Text that states that column `name` is unknown, with similar known names."""
     near = get_close_matches(name, known, n=3)
     return f"no column {name!r}; " + (
         f"did you mean {', '.join(near)}?" if near else f"there are {', '.join(known[:8])} ..."

@@ -22,7 +22,7 @@ _FLAG_BITS = np.array(list(FRAME_FLAGS.values()))
 
 
 def scan(data: bytes) -> tuple[Ints, int]:
-    """Offsets of the complete records in a buffer, and the end of the last one."""
+    """Offsets (n,) of the complete MCAP records in a buffer, and the offset of the end of the last one."""
     starts: list[int] = []
     at, size = 0, len(data)
     while at + SHORTEST <= size:
@@ -35,7 +35,7 @@ def scan(data: bytes) -> tuple[Ints, int]:
 
 
 def words_of(data: bytes) -> Ints:
-    """View of a buffer as the 8-byte integer at each offset (n - 7,)."""
+    """View (n - 7,) of a buffer of n bytes: the 8-byte integer that begins at each byte."""
     return np.ndarray((max(len(data) - 7, 0),), "<i8", data, strides=(1,))
 
 
@@ -78,13 +78,13 @@ def unpack_frames(
 
 
 def _stacked(data: bytes, starts: Ints, size: int) -> Bytes:
-    """Copy records of one size into an array (n, size)."""
+    """Copy records of equal size into an array (n, size) of bytes."""
     packed = b"".join([data[start : start + size] for start in starts.tolist()])
     return np.frombuffer(packed, np.uint8).reshape(len(starts), size)
 
 
 def _frames(records: Bytes, places: list[int], epoch_ns: int) -> Rows:
-    """Frames of records without their data; places: a row of `frame_table`."""
+    """Frames (n,) of ITEM from records without their data bytes; places: a row of `frame_table`."""
     seconds, nanos, can_id, _, direction, tick, index, bus, *flags = places
 
     def number(place: int, kind: str) -> Ints:

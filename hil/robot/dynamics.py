@@ -21,7 +21,7 @@ Variant = Literal["full", "no_H", "printed", "constant", "constant_MG", "massles
 LegSpin = Literal["none", "universal"]
 
 SLIDING_SPEED = 1e-3
-"""m/s, default: well above the noise of a leg rate at rest, well below the rates of a motion."""
+"""Default leg rate, m/s, above which Coulomb friction acts in full: well above its noise at rest."""
 
 CODES: dict[str, int] = {
     "full": kernels.FULL,
@@ -60,10 +60,10 @@ class Model:
     inertia_scale : factor on all masses (reflected ones included), all inertias and the platform's centre of
         mass. The centres of mass along the legs stay exact, as do joints, lengths, J, its rate, gravity and
         friction.
-    reflected_mass : (6,) kg or one for all legs. Inertia of motor and screw as a mass along the leg:
-        rotary inertia times (2 pi / lead)^2. It has no weight.
-    viscous : (6,) N s/m or one for all legs.
-    coulomb : (6,) N or one for all legs.
+    reflected_mass : (6,) kg, or one number for all legs. Inertia of motor and screw as a mass along the leg:
+        rotary inertia times (2 pi / lead)^2, without weight.
+    viscous : (6,) N s/m, or one number for all legs.
+    coulomb : (6,) N, or one number for all legs.
     sliding_speed : m/s, leg rate above which Coulomb friction acts in full. Below, it grows linearly
         from 0 at rest. 0: coulomb sgn(dq), sgn(0) = 0.
 
@@ -142,7 +142,7 @@ class Model:
     ) -> Array:
         """Leg forces (6,) N for a motion: tau = J^-T (M dtwist + H + G - wrench) + friction(J twist).
 
-        Also raises KinematicsError at a singular J.
+        Raises KinematicsError also at a pose with singular J.
         """
         p, R, twist = self._state(p, R, twist)
         dtwist = check_vector("dtwist", dtwist, 6)
@@ -153,9 +153,9 @@ class Model:
     def forward_dynamics(
         self, p: ArrayLike, R: ArrayLike, twist: ArrayLike, tau: ArrayLike, wrench: ArrayLike | None = None
     ) -> Array:
-        """Acceleration under leg forces: dtwist = M^-1 (J^T (tau - friction(J twist)) + wrench - H - G).
+        """Acceleration (6,) m/s^2, rad/s^2: dtwist = M^-1 (J^T (tau - friction(J twist)) + wrench - H - G).
 
-        Coulomb friction has no stiction: at rest sgn(0) = 0, and the legs slide. (6,) m/s^2 and rad/s^2.
+        tau: leg forces (6,) N. Coulomb friction has no stiction: at rest sgn(0) = 0, and the legs slide.
         """
         p, R, twist = self._state(p, R, twist)
         tau = check_vector("tau", tau, 6)
@@ -180,7 +180,7 @@ class Model:
         return _finite("H", kernels.coriolis_kernel(self.constants, p, R, twist), p, R)
 
     def gravity(self, p: ArrayLike, R: ArrayLike) -> Array:
-        """Gravity forces G (6,) that carry platform and legs: N, N m. Evaluated at p, R in every variant."""
+        """Forces G (6,) N, N m, base frame, that carry platform and legs against gravity at the pose p, R."""
         p, R = check_vector("p", p, 3), check_rotation(R)
         return _finite("G", kernels.gravity_kernel(self.constants, p, R), p, R)
 
@@ -194,12 +194,12 @@ class Model:
         return kernels.friction_kernel(self.constants, check_vector("dq", dq, 6))
 
     def kinetic_energy(self, p: ArrayLike, R: ArrayLike, twist: ArrayLike) -> float:
-        """Kinetic energy twist^T M twist / 2 of platform, legs and drives, J."""
+        """Kinetic energy, J, of platform, legs and drives: twist^T M twist / 2."""
         p, R, twist = self._state(p, R, twist)
         return float(0.5 * twist @ self.mass_matrix(p, R) @ twist)
 
     def potential_energy(self, p: ArrayLike, R: ArrayLike) -> float:
-        """Potential energy -sum m g.x of platform and legs, J; zero at the base origin."""
+        """Potential energy, J, of platform and legs in gravity: -sum m g.x, zero at the base origin."""
         return kernels.potential_energy_kernel(self.constants, check_vector("p", p, 3), check_rotation(R))
 
     @staticmethod
@@ -222,7 +222,7 @@ class Model:
 def pack_constants(
     platform: Platform, inertia_scale: float = 1.0, *, spin: bool = False, massless_legs: bool = False
 ) -> Array:
-    """Constants (173,) of the kernels; the frozen entries and those of the drives are zero."""
+    """Geometry and inertia as the vector (173,) of the dynamics kernels; frozen and drive entries are 0."""
     k = inertia_scale
     c = np.zeros(kernels.SIZE)
     m = k * platform.platform.mass

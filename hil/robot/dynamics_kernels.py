@@ -42,17 +42,17 @@ SIZE = 173
 
 @helper
 def inertia_about_base(c: Array, l: float) -> float:
-    """Inertia of a leg about its base joint, across its axis: I(l) = I1 + I2 + m1 c1^2 + m2 (l - c2)^2."""
+    """Inertia of a leg across its axis about its base joint, kg m^2: I1 + I2 + m1 c1^2 + m2 (l - c2)^2."""
     m1, c1, m2, c2 = c[CYLINDER_MASS], c[CYLINDER_COM], c[ROD_MASS], c[ROD_COM]
     return float(c[TRANSVERSE] + m1 * c1 * c1 + m2 * (l - c2) * (l - c2))
 
 
 @helper
 def spin_gradient(k: Vector, l: float, s: Vector) -> Vector:
-    """Gradient h of a leg's spin, spin = h.u: its rate about its own axis, with base hinge k.
+    """Gradient h, 1/m: h.u is the spin rate, rad/s, of a leg about its axis if its platform joint moves at u.
 
-    The second hinge is along k x s; omega has no component along k x (k x s), so with x = k.s
-    spin = x / (1 - x^2) (k x s).ds/dt.
+    k is the unit direction of the base hinge, s that of the leg. The second hinge is along k x s; omega has
+    no component along k x (k x s), so with x = k.s spin = x / (1 - x^2) (k x s).ds/dt.
     """
     x = dot(k, s)
     return scale(x / ((1.0 - x * x) * l), cross(k, s))
@@ -60,7 +60,7 @@ def spin_gradient(k: Vector, l: float, s: Vector) -> Vector:
 
 @helper
 def leg_mass(c: Array, i: int, l: float, s: Vector) -> tuple[Vector, Vector, Vector]:
-    """Rows of the leg's mass matrix, M_i = (m2 + m_r) s s^T + I(l)/l^2 (1 - s s^T) + I_axial h h^T.
+    """Rows of a leg's mass matrix, kg, M_i = (m2 + m_r) s s^T + I(l)/l^2 (1 - s s^T) + I_axial h h^T.
 
     The reflected mass m_r acts along the leg only.
     """
@@ -79,7 +79,7 @@ def leg_mass(c: Array, i: int, l: float, s: Vector) -> tuple[Vector, Vector, Vec
 
 @helper
 def leg_bias(c: Array, i: int, l: float, s: Vector, dl: float, ds: Vector) -> Vector:
-    """Velocity-dependent force h_i of a leg at the platform joint: its force at du = 0.
+    """Force h_i, N, of leg i at its platform joint due to velocities alone: without weight, at du = 0.
 
     h_i = (m2 c2 + m_r l) |ds|^2 s + 2 (dl / l) (m2 (l - c2) - I(l)/l) ds, and the spin's gyroscopic and
     constraint part. The reflected mass m_r needs m_r ddl along s, and ddl = s.du + l |ds|^2.
@@ -101,7 +101,7 @@ def leg_bias(c: Array, i: int, l: float, s: Vector, dl: float, ds: Vector) -> Ve
 
 @helper
 def leg_weight(c: Array, g: Vector, l: float, s: Vector) -> Vector:
-    """Force that carries a leg's weight: g_i = -m2 s s.g - (m1 c1 + m2 (l - c2))/l (g - s s.g)."""
+    """Force, N, that carries a leg's weight: g_i = -m2 s s.g - (m1 c1 + m2 (l - c2))/l (g - s s.g)."""
     along = dot(s, g)
     across = (c[CYLINDER_MASS] * c[CYLINDER_COM] + c[ROD_MASS] * (l - c[ROD_COM])) / l
     return sub(scale(-c[ROD_MASS] * along, s), scale(across, sub(g, scale(along, s))))
@@ -109,13 +109,13 @@ def leg_weight(c: Array, g: Vector, l: float, s: Vector) -> Vector:
 
 @helper
 def inertia_times(c: Array, x: Vector) -> Vector:
-    """I x, with the platform's inertia I about its origin, in platform axes."""
+    """Product I x, kg m^2 times x, of the platform's inertia about its origin and a vector, platform axes."""
     return dot(at(c, INERTIA), x), dot(at(c, INERTIA + 3), x), dot(at(c, INERTIA + 6), x)
 
 
 @helper
 def fill_mass_matrix(c: Array, p: Array, R: Array, M: Array) -> None:
-    """Fill M (6, 6) = platform + sum J_i^T M_i J_i, J_i = [1, -[r_i]x]."""
+    """Fill the mass matrix M (6, 6) = platform + sum J_i^T M_i J_i, J_i = [1, -[r_i]x]."""
     m = c[MASS]
     x = rotate(R, at(c, COM))
     M[:] = 0.0
@@ -167,7 +167,7 @@ def platform_force(c: Array, R: Array, g: Vector, w: Vector, dv: Vector, dw: Vec
 
 @helper
 def newton_euler(c: Array, p: Array, R: Array, g: Vector, twist: Array, dtwist: Array, f: Array) -> None:
-    """Fill f (6,) = M dtwist + H + G: platform, and sum J_i^T (M_i du_i + h_i + g_i) over the legs.
+    """Fill f (6,) N, N m = M dtwist + H + G: platform, and sum J_i^T (M_i du_i + h_i + g_i) over the legs.
 
     twist = 0 omits H, g = 0 omits G.
     """
@@ -191,7 +191,7 @@ def newton_euler(c: Array, p: Array, R: Array, g: Vector, twist: Array, dtwist: 
 
 @helper
 def model_force(c: Array, code: int, p: Array, R: Array, twist: Array, dtwist: Array, f: Array) -> None:
-    """Fill f (6,) = M dtwist + H + G of the model variant."""
+    """Fill f (6,) N, N m with M dtwist + H + G as the model variant `code` simplifies it."""
     if code in (CONSTANT, CONSTANT_MG):
         for i in range(6):
             total = c[FROZEN_G + i]
@@ -206,7 +206,7 @@ def model_force(c: Array, code: int, p: Array, R: Array, twist: Array, dtwist: A
 
 @helper
 def fill_jacobian(c: Array, code: int, p: Array, R: Array, J: Array) -> None:
-    """Fill J (6, 6) at the pose; variant ``constant``: at the frozen pose."""
+    """Fill the Jacobian J (6, 6) at p, R; for the variant CONSTANT with the frozen Jacobian in c."""
     for i in range(6):
         if code == CONSTANT:
             for j in range(6):
@@ -240,7 +240,7 @@ def leg_friction(c: Array, i: int, dq: float) -> float:
 
 @helper
 def add_friction(c: Array, p: Array, R: Array, twist: Array, sign: float, tau: Array) -> None:
-    """Add sign * friction to tau (6,), at the leg rates dq = J twist; J is current, never frozen."""
+    """Add sign * friction to the leg forces tau (6,) N at dq = J twist; J is that of p, R, never frozen."""
     for i in range(6):
         if c[VISCOUS + i] != 0.0 or c[COULOMB + i] != 0.0:
             r = rotate(R, at(c, PLATFORM + 3 * i))
@@ -251,7 +251,7 @@ def add_friction(c: Array, p: Array, R: Array, twist: Array, sign: float, tau: A
 
 @kernel(VECTOR, VECTOR)
 def friction_kernel(c: Array, dq: Array) -> Array:
-    """Friction forces (6,) N at the leg rates dq (6,) m/s."""
+    """Friction forces (6,) N of the drives at the leg rates dq (6,) m/s, with the signs of dq."""
     force = np.empty(6)
     for i in range(6):
         force[i] = leg_friction(c, i, dq[i])
@@ -260,7 +260,7 @@ def friction_kernel(c: Array, dq: Array) -> Array:
 
 @kernel(VECTOR, VECTOR, MATRIX)
 def mass_matrix_kernel(c: Array, p: Array, R: Array) -> Array:
-    """Mass matrix M (6, 6) at the pose."""
+    """Mass matrix M (6, 6) kg, kg m, kg m^2 in twist coordinates at the pose p (3,) m, R (3, 3)."""
     M = np.empty((6, 6))
     fill_mass_matrix(c, p, R, M)
     return M
@@ -268,7 +268,7 @@ def mass_matrix_kernel(c: Array, p: Array, R: Array) -> Array:
 
 @kernel(VECTOR, VECTOR, MATRIX, VECTOR)
 def coriolis_kernel(c: Array, p: Array, R: Array, twist: Array) -> Array:
-    """Centripetal and gyroscopic forces H (6,)."""
+    """Centripetal and gyroscopic forces H (6,) N, N m, base frame, at the pose p, R and the twist (6,)."""
     f = np.empty(6)
     newton_euler(c, p, R, (0.0, 0.0, 0.0), twist, np.zeros(6), f)
     return f
@@ -276,7 +276,7 @@ def coriolis_kernel(c: Array, p: Array, R: Array, twist: Array) -> Array:
 
 @kernel(VECTOR, VECTOR, MATRIX)
 def gravity_kernel(c: Array, p: Array, R: Array) -> Array:
-    """Gravity forces G (6,)."""
+    """Forces G (6,) N, N m, base frame, that carry platform and legs against gravity at the pose p, R."""
     f, rest = np.empty(6), np.zeros(6)
     newton_euler(c, p, R, at(c, GRAVITY), rest, rest, f)
     return f
@@ -300,7 +300,7 @@ def potential_energy_kernel(c: Array, p: Array, R: Array) -> float:
 def inverse_dynamics_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, dtwist: Array, wrench: Array
 ) -> Array:
-    """Leg forces tau = J^-T (M dtwist + H + G - wrench) + friction, (6,) N; nan where J is singular."""
+    """Leg forces (6,) N: tau = J^-T (M dtwist + H + G - wrench) + friction; nan where J is singular."""
     work = np.empty((14, 6))
     f = work[12]
     model_force(c, code, p, R, twist, dtwist, f)
@@ -372,7 +372,7 @@ def model_inertia(c: Array, code: int, p: Array, R: Array, M: Array) -> None:
 def forward_dynamics_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, tau: Array, wrench: Array
 ) -> Array:
-    """Acceleration dtwist = M^-1 (J^T (tau - friction) + wrench - H - G), (6,); nan where M is singular."""
+    """Acceleration (6,), m/s^2, rad/s^2: M^-1 (J^T (tau - friction) + wrench - H - G); nan for singular M."""
     drive = tau.copy()
     add_friction(c, p, R, twist, -1.0, drive)
     f, dtwist = np.empty(6), np.zeros(6)

@@ -10,7 +10,7 @@ from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, helper, kerne
 from drivers.compiled.pointed import data_at, reals_at, record_at
 
 SEGMENT = np.dtype([("sent", "<i8"), ("duration_s", "<f8"), ("mean", "<f8"), ("end", "<f8")])
-"""A `Segment` as compiled code reads it."""
+"""Layout of a `Segment` for compiled code."""
 FORCE_PATH = np.dtype(
     [
         ("period_s", "<f8"),
@@ -21,9 +21,8 @@ FORCE_PATH = np.dtype(
         ("force", "<f8", 6),
     ]
 )
-"""Address and number of the segments of one period; address of the commands that still act, (slots, 6) N,
-newest first; force (6,) N at the last instant of measurement.
-"""
+"""Layout of a ForcePath for compiled code: address and number of the segments of a period; address of the
+commands that still act, (slots, 6) N, newest first; predicted force (6,) N."""
 path_at = record_at(record(FORCE_PATH))
 segment_at = record_at(record(SEGMENT))
 _SEGMENT_BYTES = SEGMENT.itemsize
@@ -47,25 +46,25 @@ def decay(x: float) -> float:
 
 
 class Segment(NamedTuple):
-    """A time interval in which one command drives the force stage."""
+    """A time interval in which one command (6,) N drives the force loops of the drives."""
 
     sent: int
     """Index of the command; 0 is the newest."""
     duration_s: float
     mean: float
-    """Mean remaining share of the gap between force and command over the segment."""
+    """Gap between force and command, mean over the segment, as a share of the gap at its start."""
     end: float
-    """Remaining share at the end of the segment."""
+    """Gap at the end of the segment as a share of the gap at its start."""
 
 
 def as_records(segments: Sequence[Segment]) -> Rows:
-    """Segments as an array for compiled code."""
+    """Segments as an array (n,) of SEGMENT records, which compiled code reads."""
     return np.array(list(segments), SEGMENT)
 
 
 @helper
 def follow(path: Any, address: int, force: Array, mean: Array) -> float:
-    """Advance `force` (6,) N over a segment, fill its `mean` (6,) N, and return the duration, s."""
+    """Advance `force` (6,) N over the segment at `address`; fill `mean` (6,) N; return the duration, s."""
     segment = segment_at(address)
     command = reals_at(path.sent + 48 * segment.sent, 6)
     for i in range(6):
@@ -77,7 +76,7 @@ def follow(path: Any, address: int, force: Array, mean: Array) -> float:
 
 @helper
 def send(path: Any, command: Array) -> None:
-    """Insert a command (6,) N as the newest one."""
+    """Insert leg forces (6,) N as the newest command; the oldest command drops out."""
     sent = reals_at(path.sent, 6 * path.slots)
     for k in range(6 * (path.slots - 1)):
         place = 6 * path.slots - 1 - k
@@ -88,7 +87,7 @@ def send(path: Any, command: Array) -> None:
 
 @helper
 def advance(path: Any, periods: int, tau: Array) -> None:
-    """Advance by `periods` and fill the mean force `tau` (6,) N: `ForcePath.advance`, compiled."""
+    """Advance by `periods`; fill tau (6,) N with the mean leg forces: `ForcePath.advance`, compiled."""
     mean = np.empty(6)
     tau[:] = 0.0
     for k in range(periods):
@@ -107,9 +106,9 @@ _advance = kernel(record(FORCE_PATH), INTEGER, OUT_VECTOR)(advance)
 
 
 class ForcePath:
-    """Predicted forces in the six legs under the commands sent.
+    """Prediction of the actual leg forces from the commands sent.
 
-    A command computed from the measurement at t drives the force stage from t + transport on, until the
+    A command computed from the measurement at t drives the force loop from t + transport on, until the
     next command replaces it. With lag T, the force f obeys T df/dt = command - f.
 
     Mutable state: the force at the last instant of measurement and the commands that still act, in `record`
@@ -135,11 +134,11 @@ class ForcePath:
 
     @property
     def force(self) -> Array:
-        """Force (6,) N at the last instant of measurement."""
+        """Predicted leg forces (6,) N at the last instant of measurement."""
         return self.record["force"].copy()
 
     def reset(self) -> None:
-        """Set the force and all commands to zero."""
+        """Set the predicted force and all commands to zero."""
         self.record["force"] = 0.0
         self._sent[:] = 0.0
 
@@ -168,7 +167,7 @@ class ForcePath:
         return Segment(sent, duration_s, (1.0 - left) / x, left)
 
     def send(self, command: Array) -> None:
-        """Store the command (6,) N computed from the last measurement."""
+        """Store the leg forces (6,) N that were computed from the last measurement and sent."""
         _send(self.record, np.ascontiguousarray(command, np.float64))
 
     def advance(self, periods: int = 1) -> Array:

@@ -16,7 +16,7 @@ from drivers.arrays import Array
 from drivers.errors import ModelError
 
 TOLERANCE = 1e-9
-"""Relative slack of the triangle inequality and of symmetry; m for coincident joints."""
+"""Relative tolerance of inertia tensors (symmetry, triangle inequality); in m: distance of equal joints."""
 
 
 class GeometryError(ModelError):
@@ -38,7 +38,7 @@ class GeometryError(ModelError):
 
 @dataclass(frozen=True)
 class Body:
-    """The moving platform: mass (kg), com (3,) m and inertia (3, 3) kg m^2 about com, in platform axes."""
+    """The moving platform: mass (kg), com (3,) m, inertia (3, 3) kg m^2 about com, in platform axes."""
 
     mass: float
     com: Array
@@ -47,7 +47,7 @@ class Body:
 
 @dataclass(frozen=True)
 class LegBody:
-    """Half a leg: mass (kg), com (m along the leg), inertias about com (kg m^2).
+    """One of the two parts of a leg: mass (kg), com (m along the leg), inertias about com (kg m^2).
 
     ``com`` is measured from the base joint for a cylinder, from the platform joint for a rod.
     """
@@ -103,7 +103,7 @@ class Platform:
 
     @property
     def radius(self) -> float:
-        """Mean distance of the platform joints from the platform origin, m; scales rotations."""
+        """Mean distance, m, of the platform joints from the platform origin; converts rad to m."""
         return float(np.mean(np.sqrt((self.platform_joints**2).sum(axis=1))))
 
     @classmethod
@@ -128,7 +128,7 @@ class Platform:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain lists and floats, the input of ``from_dict``."""
+        """Platform as nested lists and floats, SI units, with the keys that ``from_dict`` reads."""
         axes = self.universal_joint_base_axes
         return {
             "base_joints": self.base_joints.tolist(),
@@ -199,7 +199,7 @@ def _body(body: Body) -> Body:
         raise GeometryError(
             "platform.inertia",
             f"principal moments {small:.9g}, {middle:.9g}, {large:.9g} kg m^2",
-            "a largest one of at most the sum of the other two (true of every rigid body)",
+            "the largest at most the sum of the other two, as for every rigid body",
         )
     return Body(
         _number("platform.mass", body.mass, positive=True), _array("platform.com", body.com, (3,)), inertia
@@ -217,7 +217,7 @@ def _leg_body(name: str, body: LegBody) -> LegBody:
 
 
 def unit_rows(where: str, value: ArrayLike) -> Array:
-    """Six directions of any length as unit vectors (6, 3). GeometryError at `where` for a length of zero."""
+    """Six direction vectors (6, 3) scaled to length 1; GeometryError at the key `where` for a length of 0."""
     axes = _array(where, value, (6, 3))
     length = np.sqrt((axes**2).sum(axis=1, keepdims=True))
     if not (length > TOLERANCE).all():

@@ -15,12 +15,12 @@ from hil.robot.geometry import TOLERANCE, Body, GeometryError
 
 
 def product(A: Array, B: Array) -> Array:
-    """Multiply 3x3 matrices A B term by term in a fixed order."""
+    """Product A B of 3x3 matrices, summed in a fixed order so that all processors round alike."""
     return A[:, 0:1] * B[0:1] + A[:, 1:2] * B[1:2] + A[:, 2:3] * B[2:3]
 
 
 def turned(inertia: ArrayLike, R: ArrayLike) -> Array:
-    """Inertia in other axes about the same point: R I R^T.
+    """Inertia (3, 3) kg m^2 about the same point in turned axes: R I R^T.
 
     inertia : (3, 3) kg m^2, in its own axes.
     R : (3, 3), x_new = R x_own.
@@ -43,19 +43,19 @@ def steiner(mass: float, d: ArrayLike) -> Array:
 
 
 def with_positive_products(inertia: ArrayLike) -> Array:
-    """Inertia tensor (3, 3) from a table that lists the products of inertia as +integral of x y dm."""
+    """Inertia tensor (3, 3) kg m^2 from a table that lists the products of inertia as +integral of x y dm."""
     table = np.asarray(inertia, np.float64)
     return np.where(np.eye(3, dtype=bool), table, -table)
 
 
 def box(mass: float, size: ArrayLike) -> Array:
-    """Inertia of a homogeneous box about its centre: m/12 (b^2 + c^2) ...; size (3,) m along its axes."""
+    """Inertia (3, 3) kg m^2 of a homogeneous box, size (a, b, c) m, about its centre: m/12 (b^2 + c^2) .."""
     a, b, c = (float(v) ** 2 for v in np.asarray(size, np.float64))
     return np.diag([b + c, a + c, a + b]) * (mass / 12)
 
 
 def cylinder(mass: float, radius: float, length: float, inner_radius: float = 0.0) -> Array:
-    """Inertia of a homogeneous cylinder or tube along z about its centre.
+    """Inertia (3, 3) kg m^2 of a homogeneous cylinder or tube along z about its centre.
 
     I_z = m/2 (R^2 + r^2), I_x = I_y = m/12 (3 (R^2 + r^2) + h^2), r the inner radius; all in m.
     """
@@ -65,7 +65,7 @@ def cylinder(mass: float, radius: float, length: float, inner_radius: float = 0.
 
 
 def sphere(mass: float, radius: float) -> Array:
-    """Inertia of a homogeneous sphere about its centre, 2/5 m r^2; radius in m."""
+    """Inertia (3, 3) kg m^2 of a homogeneous sphere about its centre, 2/5 m r^2; mass in kg, radius in m."""
     return np.eye(3) * (0.4 * mass * radius**2)
 
 
@@ -83,13 +83,13 @@ def combine(bodies: Sequence[Body]) -> Body:
 
 
 def principal_moments(inertia: ArrayLike) -> tuple[float, float, float]:
-    """Principal moments, kg m^2, ascending; for messages and reports."""
+    """Principal moments of an inertia (3, 3), kg m^2, ascending; not equal to the bit on all processors."""
     low, middle, high = np.linalg.eigvalsh(np.asarray(inertia, np.float64))
     return float(low), float(middle), float(high)
 
 
 def physical(inertia: ArrayLike) -> bool:
-    """Check that a body can have this tensor about its centre of mass: 0 <= I_1, I_3 <= I_1 + I_2.
+    """Check that a body can have this inertia (3, 3) about its centre of mass: 0 <= I_1, I_3 <= I_1 + I_2.
 
     A point (three zeros) and a thin rod (one zero) count as bodies; relative tolerance 1e-9.
     """
@@ -120,7 +120,7 @@ def about_centre_of_mass(
     given = f"principal moments {low:.9g}, {middle:.9g}, {high:.9g} kg m^2"
     if point is not None:
         given += f" after the move from {np.asarray(point).tolist()} to the centre of mass"
-    allowed = "a largest one of at most the sum of the other two (true of every rigid body)"
+    allowed = "the largest at most the sum of the other two, as for every rigid body"
     if low < 0:
         allowed = "three values >= 0" + (
             "; check whether the tensor is about the centre of mass already" if point is not None else ""

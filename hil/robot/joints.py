@@ -18,12 +18,12 @@ def _about_z(angle_deg: float) -> tuple[float, float]:
 
 
 def on_circle(radius: float, angles_deg: Sequence[float], z: float = 0.0) -> Array:
-    """Joint centres (n, 3) m at angles about z, counted from x towards y: (r cos, r sin, z)."""
+    """Joint centres (n, 3) m on a circle about the z axis: (r cos, r sin, z), angles from x towards y."""
     return np.array([[radius * c, radius * s, z] for c, s in map(_about_z, angles_deg)])
 
 
 def chord(radius: float, half_angle_deg: float) -> float:
-    """Distance in m between two joints on a circle at the angles +-half_angle_deg: 2 r sin."""
+    """Distance, m, between the joints at +half_angle_deg and -half_angle_deg on a circle: 2 r sin(angle)."""
     return 2 * radius * _about_z(half_angle_deg)[1]
 
 

@@ -38,7 +38,7 @@ class KinematicsError(ModelError):
 
 
 class Pose(NamedTuple):
-    """Result of forward kinematics."""
+    """Pose that forward kinematics has found, with the number of iterations and the residual."""
 
     p: Array
     """(3,) m, platform origin in the base frame."""
@@ -61,7 +61,7 @@ def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: str) -
 
 
 def check_vector(name: str, value: ArrayLike, size: int) -> Array:
-    """Contiguous float64 vector of ``value``; KinematicsError for a wrong size or a number not finite."""
+    """``value`` as a contiguous float64 vector; KinematicsError for a wrong size or a non-finite number."""
     x = _shaped(name, value, (size,), f"are {size} numbers")
     if not np.isfinite(x).all():
         raise KinematicsError(f"{name}: got {x.tolist()}, allowed are finite numbers", **{name: x})
@@ -69,7 +69,7 @@ def check_vector(name: str, value: ArrayLike, size: int) -> Array:
 
 
 def check_rotation(R: ArrayLike) -> Array:
-    """Contiguous float64 (3, 3) of ``R``; KinematicsError if it is not a rotation."""
+    """``R`` as a contiguous float64 array (3, 3); KinematicsError if it is not a rotation matrix."""
     x = _shaped("R", R, (3, 3), "is a 3x3 rotation matrix")
     error = float(np.abs(x.T @ x - np.eye(3)).max())
     determinant = float(np.dot(x[0], np.cross(x[1], x[2])))
@@ -150,11 +150,11 @@ def forward_kinematics(
     tolerance: float = 1e-12,
     max_iterations: int = 50,
 ) -> Pose:
-    """Forward kinematics: the pose with these leg lengths near an initial guess.
+    """Forward kinematics: the pose with the leg lengths q (6,) m near an initial guess.
 
     Newton's method on SE(3): J step = q - lengths, p += step_v, R = C(step_omega) R with the Cayley map C.
-    It needs no Euler angles and converges quadratically except at singular poses. Up to 40 poses share six
-    leg lengths (Dietmaier, 1998); p0, R0 decide which one is found. From a distant guess use
+    The method needs no Euler angles and converges quadratically except at singular poses. Up to 40 poses
+    share six leg lengths (Dietmaier, 1998); p0, R0 decide which one is found. From a distant guess use
     ``continue_kinematics``.
 
     Parameters

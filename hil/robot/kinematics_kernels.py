@@ -1,6 +1,6 @@
 """Lengths, Jacobian, its rate, and Newton's method for the pose.
 
-A (6, 3) base joints in the base frame, b (6, 3) platform joints in the platform frame, p (3,), R (3, 3):
+a (6, 3): base joints in the base frame; b (6, 3): platform joints in the platform frame; p (3,), R (3, 3):
 x_base = p + R x_platform; all in m. Row i of the Jacobian is [s_i, (R b_i) x s_i], s_i from base to platform
 joint (Merlet, Parallel Robots, 2006, 5.3).
 """
@@ -14,12 +14,12 @@ from hil.mathematics.rotations import cayley_step, orthonormalise
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
 
 FLOOR = 1e-8
-"""m: shorter Newton steps are not used to judge the assembly."""
+"""m: rounding dominates shorter Newton steps, so their ratio does not count in ``hop``."""
 
 
 @helper
 def leg(a: Vector, r: Vector, p: Vector) -> tuple[float, Vector]:
-    """Length l and unit vector s of the leg from a to p + r, r = R b."""
+    """Length l, m, and unit vector s of the leg from base joint a to platform joint p + r, r = R b."""
     d = sub(add(p, r), a)
     l = np.sqrt(dot(d, d))
     return l, scale(1.0 / l, d)
@@ -27,7 +27,7 @@ def leg(a: Vector, r: Vector, p: Vector) -> tuple[float, Vector]:
 
 @helper
 def lengths_and_jacobian(a: Array, b: Array, p: Array, R: Array, l: Array, J: Array) -> None:
-    """Fill the lengths l (6,) and the Jacobian J (6, 6)."""
+    """Fill the leg lengths l (6,) m and the Jacobian J (6, 6), dl/dt = J twist, at the pose p, R."""
     position = at(p, 0)
     for i in range(6):
         r = rotate(R, row(b, i))
@@ -40,7 +40,7 @@ def lengths_and_jacobian(a: Array, b: Array, p: Array, R: Array, l: Array, J: Ar
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX)
 def leg_lengths_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
-    """Leg lengths l_i = |p + R b_i - a_i|, (6,) m."""
+    """Leg lengths (6,) m at the pose p, R: l_i = |p + R b_i - a_i|."""
     l = np.empty(6)
     for i in range(6):
         l[i], _ = leg(row(a, i), rotate(R, row(b, i)), at(p, 0))
@@ -49,7 +49,7 @@ def leg_lengths_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX)
 def jacobian_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
-    """Jacobian J (6, 6), dq = J twist."""
+    """Jacobian J (6, 6) of the leg lengths at the pose p, R: dl/dt = J twist."""
     l = np.empty(6)
     J = np.empty((6, 6))
     lengths_and_jacobian(a, b, p, R, l, J)
@@ -58,7 +58,7 @@ def jacobian_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
 
 @helper
 def leg_motion(l: float, s: Vector, r: Vector, v: Vector, w: Vector) -> tuple[Vector, float, Vector]:
-    """Platform joint's velocity u = v + w x r, the leg's rate s.u and ds/dt = (u - s s.u)/l."""
+    """Velocity u = v + w x r, m/s, of a platform joint, leg rate s.u, m/s, and ds/dt = (u - s s.u)/l, 1/s."""
     u = add(v, cross(w, r))
     dl = dot(s, u)
     return u, dl, scale(1.0 / l, sub(u, scale(dl, s)))
@@ -66,7 +66,7 @@ def leg_motion(l: float, s: Vector, r: Vector, v: Vector, w: Vector) -> tuple[Ve
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR)
 def jacobian_rate_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array) -> Array:
-    """dJ/dt (6, 6): row i is [ds, (w x r) x s + r x ds], r = R b_i."""
+    """dJ/dt (6, 6) at a pose and twist (6,): row i is [ds, (w x r) x s + r x ds], r = R b_i, ds = ds_i/dt."""
     Jdot = np.empty((6, 6))
     v = at(twist, 0)
     w = at(twist, 3)
@@ -83,7 +83,7 @@ def jacobian_rate_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array) -
 
 @helper
 def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w: Vector) -> float:
-    """Row i of (dJ/dt) twist = ds.u + s.(w x (w x r)), computed without dJ/dt."""
+    """One row of (dJ/dt) twist, m/s^2: ds.u + s.(w x (w x r)) of a leg, computed without dJ/dt."""
     r = rotate(R, b)
     l, s = leg(a, r, p)
     u, _, ds = leg_motion(l, s, r, v, w)
@@ -92,7 +92,7 @@ def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w:
 
 @helper
 def joint_displacement(b: Array, R: Array, step: Array) -> float:
-    """Largest displacement (m) of a platform joint under the small motion ``step`` (6,)."""
+    """Largest displacement, m, of a platform joint b under the small motion ``step`` (6,) m, rad."""
     largest = 0.0
     for i in range(6):
         d = add(at(step, 0), cross(at(step, 3), rotate(R, row(b, i))))
@@ -117,8 +117,8 @@ def newton(
 ) -> tuple[int, float, float]:
     """Iterate p, R in place until the leg lengths are q, fill J, and return iterations, residual, hop.
 
-    Newton on SE(3): J step = q - l(p, R), p += step_v, R = C(step_w) R with the Cayley map C. ``order`` (6,)
-    and ``work`` (9, 6) are scratch.
+    Newton on SE(3): J step = q - l(p, R), p += step_v, R = C(step_w) R with the Cayley map C. hop >= 1: the
+    pose may belong to another assembly (``hil.estimation.pose``). ``order`` (6,), ``work`` (9, 6): scratch.
     """
     LU = work[0:6]
     l = work[6]
@@ -154,10 +154,10 @@ def newton(
 def forward_kinematics_kernel(
     a: Array, b: Array, q: Array, p0: Array, R0: Array, tolerance: float, max_iterations: int
 ) -> tuple[Array, Array, Array, int, float, float]:
-    """p, R, J, iterations, residual, hop for the leg lengths q (6,), started at p0, R0. Never raises.
+    """Pose p, R for the leg lengths q (6,) m by Newton's method from p0, R0; also J and how it converged.
 
-    ``residual`` is the largest |q_i - l_i| in m, at most ``tolerance``. Without convergence it is inf, and
-    p, R are the last iterate. ``hop``: see ``hil.estimation.pose``.
+    Returns p, R, J, iterations, residual, hop. ``residual`` is the largest |q_i - l_i| in m, at most
+    ``tolerance``; without convergence inf, and p, R are the last iterate. ``hop``: see ``newton``.
     """
     p = p0.copy()
     R = R0.copy()
@@ -172,10 +172,10 @@ def forward_kinematics_kernel(
 def continuation_kernel(
     a: Array, b: Array, q: Array, p0: Array, R0: Array, tolerance: float, max_substeps: int
 ) -> tuple[Array, Array, int, float]:
-    """p, R, substeps, residual for leg lengths q on the branch that starts at p0, R0. Never raises.
+    """Pose p, R, substeps tried, residual, m, for leg lengths q (6,) m on the branch that starts at p0, R0.
 
     The lengths move on a straight line from those of p0, R0 to q. A substep that does not converge with
-    hop < 1 is halved. residual is inf if q is not reached within ``max_substeps`` tries.
+    hop < 1 (see ``newton``) is halved. residual is inf if q is not reached within ``max_substeps`` tries.
     """
     p = p0.copy()
     R = R0.copy()
@@ -210,7 +210,7 @@ def continuation_kernel(
 
 @helper
 def segment_distance(x: Vector, u: Vector, y: Vector, v: Vector) -> float:
-    """Smallest distance of the segments x..x+u and y..y+v (Ericson, 2005, 5.1.9)."""
+    """Smallest distance, m, between the line segments x..x+u and y..y+v (Ericson, 2005, 5.1.9)."""
     w = sub(x, y)
     uu, uv, vv, uw, vw = dot(u, u), dot(u, v), dot(v, v), dot(u, w), dot(v, w)
     det = uu * vv - uv * uv

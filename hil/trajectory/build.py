@@ -26,20 +26,20 @@ from hil.trajectory.time_optimal import plan, planned_trajectory
 from hil.trajectory.waypoints import waypoint_trajectory
 
 UNTIMED_S = 1e-3
-"""Period of a live reference that is built for inspection only."""
+"""Tick period assumed for a live reference that is built only for checks, without a loop, s."""
 
 
 class Context(NamedTuple):
-    """Data for building a trajectory, in addition to its own settings."""
+    """What a trajectory is built from in addition to its own settings."""
 
     home: Pose
-    """The platform's home pose: default of hold, sinusoids, multisine and live."""
+    """Home pose of the platform, the default pose of references hold, sinusoids, multisine and live."""
     folder: Path | None
     """Folder of the configuration file; CSV paths are relative to it. None: a CSV path is an error."""
     period_s: float
-    """Period of the control loop."""
+    """Period of the control loop, s."""
     plan: bytes | None
-    """Plan recorded in a log; None: plan again."""
+    """Plan of a time-optimal reference from a log; None: plan again."""
 
 
 def _hold(settings: HoldReference, context: Context) -> Trajectory:
@@ -69,7 +69,7 @@ BUILDERS: dict[type, Callable[..., Trajectory]] = {
     SampledReference: _sampled,
     LiveReference: _live,
 }
-"""Settings class -> builder."""
+"""Settings class of a reference -> function that builds its trajectory."""
 
 
 def build_trajectory(
@@ -81,7 +81,7 @@ def build_trajectory(
 ) -> Trajectory:
     """Build the trajectory of the `reference` section.
 
-    home: the platform's home pose; folder: folder of the configuration file; period_s: of the loop; recorded:
-    the plan in a log. Raises ConfigurationError for settings that give no trajectory.
+    home: the platform's home pose; folder: folder of the configuration file; period_s: period of the loop;
+    recorded: plan from a log. Raises ConfigurationError for settings that give no trajectory.
     """
     return BUILDERS[type(settings)](settings, Context(home, folder, period_s, recorded))

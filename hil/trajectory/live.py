@@ -32,21 +32,20 @@ LIVE = np.dtype(
         *SAMPLE.descr,
     ]
 )
-"""halted: 1 if the place of rest is the target; share: allowed fraction of the largest velocity V;
-history: address of its rows; window: ticks, per axis; x1, v1, rest1: first stage at the next tick, as
-proposed; then the sample of the tick.
-"""
+"""Layout of the state. halted: 1 if the target is the place of rest; share: allowed fraction of the largest
+velocity V; history: address of its rows; window: ticks, per axis; x1, v1, rest1: motion at the next tick
+before smoothing, as proposed; then the sample of the tick."""
 _SAMPLE = LIVE.itemsize - SAMPLE.itemsize
 TO_JUDGE = 1
-"""Status of `proceed`: a braking path must be judged first."""
+"""Status of `proceed`: the caller must first check a braking path against the limits."""
 WINDOW_S = 4.0
-"""Longest window of the second stage."""
+"""Longest window over which the motion is averaged, s."""
 _ROUNDING = 1e-9
 _LANDED = 1e-12
 """m or rad: a point at rest within this distance has reached its target."""
 
 MARK_S, MOST_MARKS = 0.05, 16
-"""Spacing, s, and largest number of the points at which a braking path is judged; the last point is at rest.
+"""Spacing, s, and largest number of the points at which a braking path is checked; the last point is at rest.
 The points move with each tick. Their number is limited because each costs about 7 us.
 """
 POSITION, SPEED, MEAN, TOTAL = range(4)
@@ -57,13 +56,13 @@ and sum of the previous means.
 
 @helper
 def ticks_to_stop(v: float, step: float) -> float:
-    """Whole ticks to brake from speed v to rest, by at most `step` (m/s or rad/s) in each."""
+    """Whole ticks from speed v to rest, if a tick changes the speed by at most `step` (m/s, rad/s)."""
     return float(np.ceil(abs(v) / step - _ROUNDING))
 
 
 @helper
 def next_speed(distance: float, v: float, V: float, step: float, period: float) -> float:
-    """Speed at the next tick on the fastest way to rest at `distance`, from speed v.
+    """Speed, m/s or rad/s, at the next tick on the fastest way to rest at `distance` (m, rad), from speed v.
 
     From speed w, n ticks of even braking cover w n period/2, where n is the least with w <= n step. The
     largest w that still stops in time solves distance = (v + w) period/2 + w n period/2, thus
@@ -80,7 +79,7 @@ def next_speed(distance: float, v: float, V: float, step: float, period: float) 
 def first_stage(
     x: float, v: float, target: float, V: float, step: float, period: float
 ) -> tuple[float, float, float]:
-    """Position, speed and place of rest of one axis of the first stage at the next tick.
+    """Position, speed and place of rest (m or rad) of one axis at the next tick, before smoothing.
 
     The place of rest is where braking from that tick would end; step is A period.
     """
@@ -93,22 +92,22 @@ def first_stage(
 
 @helper
 def history_of(live: Any) -> Array:
-    """History of the first stage: tick k is in row k modulo the number of rows; index by `place`."""
+    """Motion before smoothing, as a flat array: tick k is in row k modulo live.rows; index by `place`."""
     return reals_at(live.history, live.rows * 24)
 
 
 @helper
 def place(row: int, part: int, axis: int) -> int:
-    """Index of an axis' column in a row of the history."""
+    """Index into the flat history of a row, a part (POSITION, SPEED, MEAN or TOTAL) and an axis 0 .. 5."""
     return (row * 4 + part) * 6 + axis
 
 
 @helper
 def propose(live: Any) -> None:
-    """Fill x1, v1, rest1: the first stage at the next tick.
+    """Fill x1, v1, rest1: position, speed and place of rest of each axis at the next tick, before smoothing.
 
     If the share of the velocity decreases, the speed decreases within the acceleration limit. The share does
-    not apply to a braking path, which has been judged without it.
+    not apply to a braking path, which was checked without it.
     """
     history, now = history_of(live), live.tick % live.rows
     for i in range(6):
@@ -123,7 +122,7 @@ def propose(live: Any) -> None:
 
 @helper
 def enter(live: Any) -> None:
-    """Store x1, v1 of the next tick and the mean position until then in the history; advance to that tick."""
+    """Store x1, v1 of each axis, and the mean position until the next tick; advance to that tick."""
     history, rows, period = history_of(live), live.rows, live.period
     now, then = live.tick % rows, (live.tick + 1) % rows
     for i in range(6):
@@ -137,7 +136,7 @@ def enter(live: Any) -> None:
 
 @helper
 def braked(s: float, x: float, v: float, n: float, period: float) -> float:
-    """Integral over the next s ticks (in ticks) of a position that brakes evenly from x, v in n ticks."""
+    """Integral over s ticks, in ticks, of a position that brakes evenly from x, v to rest in n ticks."""
     moving = min(s, n)
     curve = moving * moving * (0.5 - moving / (6.0 * n)) if n > 0.0 else 0.0
     return x * s + period * v * (curve + 0.5 * n * (s - moving))
@@ -145,7 +144,7 @@ def braked(s: float, x: float, v: float, n: float, period: float) -> float:
 
 @helper
 def way_to_rest(live: Any, chi: Array) -> int:
-    """Fill poses (n, 6) of the platform when braking from x1, v1; return their number.
+    """Fill poses (n, 6) m, rad of the platform while it brakes from x1, v1 to rest; return their number.
 
     The axes come to rest at different times, so intermediate poses are needed, too.
     """
@@ -171,9 +170,9 @@ def way_to_rest(live: Any, chi: Array) -> int:
 
 @helper
 def proceed(live: Any, tick: int, good: int) -> int:
-    """Advance to a tick; return 0, or TO_JUDGE before a step whose braking path must be judged.
+    """Advance to a tick; return 0, or TO_JUDGE before a step whose braking path must first be checked.
 
-    good: 1 if the braking path of the next step has been judged good. The sample at the tick is the mean over
+    good: 1 if the braking path of the next step keeps all limits. The sample at the tick is the mean over
     each axis' window.
     """
     while live.tick < tick:
@@ -208,9 +207,9 @@ def proceed(live: Any, tick: int, good: int) -> int:
 
 @pointed(record(LIVE), INTEGER, INTEGER, INTEGER)
 def advance(live: Any, judge: int, context: int, tick: int) -> int:
-    """Advance to a tick, see `LiveTrajectory.advance`; return the judge's reasons against the path, or 0.
+    """Advance to a tick as `LiveTrajectory.advance`; return 0, or the limits that stopped the motion as bits.
 
-    judge: address of (context, address of a pose, (6,) m, rad) -> 0 for a good pose.
+    judge: address of (context, address of a pose, (6,) m, rad) -> 0, or bits of violated limits.
     """
     found = good = 0
     way = np.empty((MOST_MARKS, 6))
@@ -227,7 +226,7 @@ def advance(live: Any, judge: int, context: int, tick: int) -> int:
 
 
 class LiveTrajectory(CompiledTrajectory):
-    """Trajectory to the last target set; it holds there, and stops on `brake`.
+    """Trajectory that moves to the latest target and rests there; `brake` ends it.
 
     start (6,) m, rad: initial pose; limits (3, 6): largest velocity, acceleration and jerk of the axes.
     Mutable state: the record (target, place of rest, tick, share of the velocity), the history of the first
@@ -259,7 +258,7 @@ class LiveTrajectory(CompiledTrajectory):
         self.reset()
 
     def reset(self) -> None:
-        """Return to the start, at rest, at time zero."""
+        """Return to the initial pose, at rest, at tick 0."""
         self._live["tick"] = 0
         self._live["share"] = 1.0
         self._live["target"] = self._live["rest"] = self._start
@@ -275,26 +274,26 @@ class LiveTrajectory(CompiledTrajectory):
         advance(self._live, 0, 0, 0)
 
     def aim(self, chi: Array) -> None:
-        """Set the target (6,) m, rad."""
+        """Set the target pose (6,) m, rad; the motion continues towards the target."""
         self._live["target"] = chi
         self._live["halted"] = 0
 
     def limit(self, share: float) -> None:
-        """Allow a share 0 .. 1 of the largest velocity; a higher speed is braked within the acceleration."""
+        """Allow a share 0 .. 1 of the largest velocity; faster motion slows within the acceleration limit."""
         self._live["share"] = share
 
     def halt(self) -> None:
-        """Come to rest as soon as the limits allow, and stay there until the next target."""
+        """Brake to rest as soon as the limits allow, and stay there until `aim` sets a target."""
         self._live["halted"] = 1
 
     @property
     def resting(self) -> bool:
-        """True while the platform is at rest at the place of rest."""
+        """True if the motion has been halted, and the platform is at rest."""
         live = self._live
         return bool(live["halted"]) and not (live["twist"].any() or live["dtwist"].any())
 
     def brake(self) -> None:
-        """Come to rest as soon as the limits allow, and set the end time."""
+        """Brake to rest as soon as the limits allow; set `duration_s` to a time when that has ended."""
         tick = int(self._live["tick"])
         v = self._history[tick % len(self._history), SPEED]
         ticks = int(np.ceil(np.abs(v) / self._live["step"] - _ROUNDING).max())
@@ -303,15 +302,15 @@ class LiveTrajectory(CompiledTrajectory):
 
     @property
     def steer(self) -> Callee:
-        """Function for compiled code with the arguments of `advance`: (record, judge, its context, tick)."""
+        """C function (record, judge, its context, tick) of `advance`, for compiled code."""
         return Callee(advance.address, data_at(self._live), self)
 
     def advance(self, tick: int, judge: Callee) -> int:
         """Advance to a tick, counted from time zero.
 
-        judge: (context, address of a pose, (6,) m, rad) -> 0 for a good pose. Before each step the poses of
-        the braking path after that step are judged. If all are good, the motion continues towards the target.
-        Otherwise it brakes at once along the path judged good one tick before, and the end of this path
-        becomes the target. Returns the judge's reasons against the path, or 0.
+        judge: (context, address of a pose, (6,) m, rad) -> 0, or bits of violated limits. Before each step it
+        checks the poses of the braking path after that step. If all keep the limits, the motion continues
+        towards the target. Otherwise it brakes at once along the path checked one tick before, and the end
+        of this path becomes the target. Returns the bits of violated limits, or 0.
         """
         return int(advance(self._live, judge.address, judge.context, tick))

@@ -1,4 +1,4 @@
-"""Multisines for identification: many lines on each axis, with phases for a low peak.
+"""Multisines for identification: many spectral lines on each axis, with phases for a low peak.
 
 Random phases are drawn once, from the configured seed.
 """
@@ -24,7 +24,7 @@ _TURN = 2.0 * math.pi
 
 
 def multisine_trajectory(settings: MultisineReference, home: Pose) -> SinusoidTrajectory:
-    """Faded sum of sinusoids; the first whole period begins at `ramp_s`.
+    """Sum of sinusoids about a pose, faded in and out; the first whole period begins at `ramp_s`.
 
     Raises ConfigurationError when a band has too few frequencies for its lines.
     """

@@ -29,9 +29,8 @@ OVERRIDE = np.dtype(
         ("period", "<f8"),
     ]
 )
-"""Tick of the last change with its path time s, sigma with its rate, 1/s, and the target; limits of `change`,
-and the period, s.
-"""
+"""Layout of the state: tick of the last change with path time s, sigma with its rate, 1/s, and the target;
+limits of `change`; the period, s."""
 PEAK, CURVATURE = 1.5, 4.5
 """Largest first derivative of sigma times T, largest second derivative times T^2."""
 _LANDED = 1e-12
@@ -56,7 +55,7 @@ def change(
 
 @kernel(REAL, REAL, REAL, REAL, REAL)
 def braking(sigma: float, dsigma: float, limit: float, step: float, period: float) -> float:
-    """Remaining advance of path time, s, while sigma brakes to 0 from its value and rate."""
+    """Advance of path time, s, until sigma has come from its present value and rate to 0."""
     s = 0.0
     for _ in range(int(8.0 / (limit * period)) + 8):  # braking from full speed takes 1.5 to 2/limit
         if sigma == 0.0 and dsigma == 0.0:
@@ -68,31 +67,31 @@ def braking(sigma: float, dsigma: float, limit: float, step: float, period: floa
 
 @helper
 def time_at(override: Any, tick: int) -> float:
-    """Path time in s at the tick of the last `advance`, or at any tick while sigma is constant."""
+    """Path time, s, at the tick of the last `advance`; while sigma is constant, at any tick."""
     return float(override.s + override.sigma * ((tick - override.tick) * override.period))
 
 
 @helper
 def is_settled(override: Any) -> bool:
-    """Check that sigma is constant."""
+    """True if the speed share sigma is constant: no change is under way."""
     return bool(override.sigma == override.target and override.dsigma == 0.0)
 
 
 @helper
 def is_full(override: Any) -> bool:
-    """Check that path time runs at full speed, and sigma is constant."""
+    """True if path time runs at full speed (sigma = 1), and sigma is constant."""
     return bool(override.sigma == 1.0 and is_settled(override))
 
 
 @helper
 def is_resting(override: Any) -> bool:
-    """Check that path time stands still, and sigma is constant."""
+    """True if path time stands still (sigma = 0), and sigma is constant."""
     return bool(override.sigma == 0.0 and is_settled(override))
 
 
 @helper
 def go_on(override: Any, tick: int) -> None:
-    """Advance to a tick."""
+    """Advance path time and the speed share sigma to a tick."""
     while not is_settled(override) and override.tick < tick:
         ds, override.sigma, override.dsigma = change(
             override.sigma, override.dsigma, override.target, override.limit, override.step, override.period
@@ -103,7 +102,7 @@ def go_on(override: Any, tick: int) -> None:
 
 @helper
 def looked_ahead(override: Any, tick: int, h: float) -> tuple[float, float, float]:
-    """Path time, sigma and its rate `h` seconds after a tick, extrapolated at the present rate."""
+    """Path time, s, speed share sigma and its rate, 1/s, extrapolated to `h` seconds after a tick."""
     sigma = min(max(override.sigma + override.dsigma * h, 0.0), 1.0)
     s = time_at(override, tick) + 0.5 * h * (override.sigma + sigma)
     return s, sigma, override.dsigma
@@ -111,7 +110,7 @@ def looked_ahead(override: Any, tick: int, h: float) -> tuple[float, float, floa
 
 @kernel(record(OVERRIDE))
 def _phase(override: Any) -> int:
-    """Phase of the override: changing, or constant at rest, at full speed, or between."""
+    """_CHANGES while sigma changes, else _RESTS at 0, _FULL at 1, or _STEADY between."""
     if is_resting(override):
         return _RESTS
     if is_full(override):
@@ -135,13 +134,13 @@ def _column(name: str, meaning: str) -> Any:
 
 
 class Override:
-    """Path time from tick to tick.
+    """Path time of a run from tick to tick, at an adjustable share sigma, 0 .. 1, of real time.
 
     Mutable state: `record`, an OVERRIDE.
     """
 
     def __init__(self, period_s: float, change_s: float) -> None:
-        """Start at full speed. change_s > 0: T, the time for sigma from 1 to 0."""
+        """Start at full speed, sigma = 1. change_s > 0: T, the time in which sigma changes from 1 to 0."""
         self.record = context_of(
             OVERRIDE,
             limit=PEAK / change_s,
@@ -156,22 +155,22 @@ class Override:
     target: float = _column("target", "Target of sigma, 0 .. 1.")
 
     def begin(self, tick: int) -> None:
-        """Set path time to zero at a tick; the speed stays."""
+        """Set path time to zero at a tick, without a change of the speed share sigma."""
         self._from(tick, 0.0)
 
     def place(self, tick: int, s: float) -> None:
-        """Rest at path time s (s) from a tick on."""
+        """Stand still at path time s (s) from a tick on."""
         self.settle(tick, 0.0)
         self._from(tick, s)
 
     def settle(self, tick: int, sigma: float) -> None:
-        """Set sigma at a tick, without a ramp."""
+        """Set the speed share sigma, 0 .. 1, at a tick at once, without a ramp."""
         self._from(tick, self.time(tick))
         self.sigma = self.target = sigma
         self.dsigma = 0.0
 
     def aim(self, tick: int, target: float) -> None:
-        """Set the target of sigma, from a tick to which the override has been advanced."""
+        """Set the target, 0 .. 1, of the speed share sigma, from a tick that `advance` has reached."""
         if target != self.target:
             self._from(tick, self.time(tick))
             self.target = target
@@ -181,33 +180,33 @@ class Override:
 
     @property
     def settled(self) -> bool:
-        """True while sigma is constant."""
+        """True while the speed share sigma is constant."""
         return _phase(self.record) != _CHANGES
 
     @property
     def full(self) -> bool:
-        """True while path time runs at full speed, and sigma is constant."""
+        """True while path time runs at full speed (sigma = 1), and sigma is constant."""
         return _phase(self.record) == _FULL
 
     @property
     def resting(self) -> bool:
-        """True while path time stands still, and sigma is constant."""
+        """True while path time stands still (sigma = 0), and sigma is constant."""
         return _phase(self.record) == _RESTS
 
     def advance(self, tick: int) -> None:
-        """Advance to a tick."""
+        """Advance path time and the speed share sigma to a tick."""
         _advance(self.record, tick)
 
     def time(self, tick: int) -> float:
-        """Path time in s at the tick of the last `advance`, or at any tick while sigma is constant."""
+        """Path time, s, at the tick of the last `advance`; while sigma is constant, at any tick."""
         return _time(self.record, tick)
 
     def rests_at(self, tick: int, target: float) -> float:
-        """Path time at rest, s, if sigma moves toward a target for one more tick and then to zero."""
+        """Path time, s, of the stop if sigma moves towards `target` for one more tick and then to zero."""
         limits = [float(self.record[name]) for name in ("limit", "step", "period")]
         ds, sigma, dsigma = change(self.sigma, self.dsigma, target, *limits)
         return self.time(tick) + ds + braking(sigma, dsigma, *limits)
 
     def ahead(self, tick: int, h: float) -> tuple[float, float, float]:
-        """Path time, sigma and its rate `h` seconds after a tick, extrapolated at the present rate."""
+        """Path time, s, speed share sigma and its rate, 1/s, extrapolated to `h` seconds after a tick."""
         return _ahead(self.record, tick, h)

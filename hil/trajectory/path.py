@@ -34,7 +34,7 @@ from hil.mathematics.rotations import rotation_motion
 from hil.mathematics.vectors import at
 
 SAMPLE = np.dtype([("p", "<f8", 3), ("R", "<f8", (3, 3)), ("twist", "<f8", 6), ("dtwist", "<f8", 6)])
-"""A `PoseSample` as a record, filled by the function of a trajectory, `(context, t, into)`."""
+"""Layout of a `PoseSample`, which a trajectory's C function `(context, t, into)` fills."""
 
 
 sample_at = record_at(record(SAMPLE))
@@ -54,34 +54,34 @@ class PoseSample(NamedTuple):
 
 
 def of_record(sample: Record) -> PoseSample:
-    """Parts of a record with the fields of SAMPLE, as views."""
+    """Pose, twist and dtwist of a record with the fields of SAMPLE, as views of its memory."""
     return PoseSample(sample["p"], sample["R"], sample["twist"], sample["dtwist"])
 
 
 class Trajectory(Protocol):
-    """A path in time without a state: equal t give equal bits."""
+    """A motion of the platform as a function of time, without a state: equal t give equal bits."""
 
     @property
     def duration_s(self) -> float | None:
-        """Length in s; None: until stopped."""
+        """Length of the motion, s; None for a motion without an end."""
 
     def sample(self, t: float) -> PoseSample:
-        """Sample at t (s). Outside [0, duration]: the nearest end pose, at rest."""
+        """Pose and motion at t (s); outside 0 .. duration the nearest end pose, at rest."""
 
 
 class CompiledTrajectory:
-    """A trajectory that is a C function of a record; a subclass sets `callee`."""
+    """A trajectory that is a C function of a record; a subclass sets `callee`, the address of both."""
 
     callee: Callee
 
     def sample(self, t: float) -> PoseSample:
-        """Sample at t (s); see `Trajectory`."""
+        """Pose and motion at t (s); outside 0 .. duration the nearest end pose, at rest."""
         return sampled_by(self.callee, t)
 
 
 @pointed(record(SAMPLE), REAL, record(SAMPLE))
 def kept(sample: Any, _t: float, into: Any) -> int:
-    """Copy a stored sample, for all t."""
+    """Fill `into` with a stored sample at every t: the function of a trajectory at rest."""
     for i in range(3):
         into.p[i] = sample.p[i]
         for j in range(3):
@@ -92,7 +92,7 @@ def kept(sample: Any, _t: float, into: Any) -> int:
 
 
 class HoldTrajectory(CompiledTrajectory):
-    """Stay at p (3,) m, R (3, 3), base frame, for `duration_s`, or until stopped when it is None."""
+    """Rest at the pose p (3,) m, R (3, 3), base frame, for `duration_s`, or without an end if it is None."""
 
     def __init__(self, p: Array, R: Array, duration_s: float | None = None) -> None:
         self.duration_s = duration_s
@@ -101,7 +101,7 @@ class HoldTrajectory(CompiledTrajectory):
 
 
 class _Callback:
-    """A callback for a trajectory in plain Python. `error`: its last exception."""
+    """C callback that samples a trajectory written in plain Python. `error`: its last exception."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self._trajectory = trajectory
@@ -124,7 +124,7 @@ class _Callback:
 
 
 def callee_of(trajectory: Trajectory) -> Callee:
-    """C function of a trajectory, with its context.
+    """C function of a trajectory, with its context: compiled code samples the trajectory through it.
 
     If a trajectory in plain Python raises, the status is FAILED, the sample nan, and `failure` gives the
     exception.
@@ -137,7 +137,7 @@ def callee_of(trajectory: Trajectory) -> Callee:
 
 
 def failure(keeps: Any) -> BaseException | None:
-    """Last exception of a trajectory in plain Python, found in the `keeps` of a callee."""
+    """Last exception of a trajectory in plain Python, found among the objects that a Callee keeps alive."""
     if isinstance(keeps, _Callback):
         return keeps.error
     if isinstance(keeps, tuple):
@@ -146,20 +146,20 @@ def failure(keeps: Any) -> BaseException | None:
 
 
 def sampled_by(callee: Callee, t: float) -> PoseSample:
-    """Sample at t (s) in arrays of its own. Raises the exceptions of a trajectory in plain Python."""
+    """Sample at t (s) in new arrays. Raises what a trajectory in plain Python raises."""
     into = np.ndarray((), SAMPLE)
     require(_by_address(callee.address, callee.context, t, into), callee)
     return of_record(into)
 
 
 def require(status: int, callee: Callee) -> None:
-    """Raise the exception of a trajectory in plain Python if the status is FAILED."""
+    """If a trajectory's C function returned FAILED, raise the exception of its Python code."""
     if status < 0:
         raise failure(callee) or RuntimeError("a trajectory's function gave no sample")
 
 
 def samples(trajectory: Trajectory, t: Array) -> np.ndarray[Any, np.dtype[np.void]]:
-    """Samples (n,) of SAMPLE at t (n,) s. Raises the exceptions of a trajectory in plain Python."""
+    """Samples (n,) of SAMPLE at t (n,) s. Raises what a trajectory in plain Python raises."""
     callee, into = callee_of(trajectory), np.empty(len(t), SAMPLE)
     require(_all_by_address(callee.address, callee.context, t, into), callee)
     return into
@@ -181,7 +181,7 @@ def _by_address(function: int, context: int, t: float, into: Any) -> int:
 
 @helper
 def lift(chi: Array, dchi: Array, ddchi: Array, into: Any) -> None:
-    """Fill a record of SAMPLE from pose coordinates chi with first and second derivative."""
+    """Fill a SAMPLE from pose coordinates chi (6,) m, rotation vector in rad, and their two derivatives."""
     omega, domega = rotation_motion(at(chi, 3), at(dchi, 3), at(ddchi, 3), into.R)
     for i in range(3):
         into.p[i] = chi[i]
@@ -191,7 +191,7 @@ def lift(chi: Array, dchi: Array, ddchi: Array, into: Any) -> None:
 
 @helper
 def quintic(u: float) -> tuple[float, float, float]:
-    """Scaling s = 10 u^3 - 15 u^4 + 6 u^5 with ds/du, d2s/du2: from 0 to 1, derivatives 0 at the ends."""
+    """Path share s = 10 u^3 - 15 u^4 + 6 u^5 with ds/du, d2s/du2: from 0 to 1, derivatives 0 at the ends."""
     s = u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
     ds = 30.0 * u * u * (1.0 + u * (-2.0 + u))
     dds = 60.0 * u * (1.0 + u * (-3.0 + 2.0 * u))
@@ -199,19 +199,19 @@ def quintic(u: float) -> tuple[float, float, float]:
 
 
 def pose_coordinates(pose: Pose | Waypoint) -> Array:
-    """Pose coordinates chi (6,) of a configured pose: m and rad."""
+    """Pose coordinates chi (6,) of a configured pose: position, m, and rotation vector, rad."""
     return np.concatenate([np.asarray(pose.position_m, float), np.deg2rad(pose.rotation_vector_deg)])
 
 
 def checked_coordinates(pose: Pose | Waypoint, where: str) -> Array:
-    """Coordinates chi (6,) of `pose` with key `where`; ConfigurationError for more than half a turn."""
+    """Coordinates chi (6,) m, rad of `pose`; ConfigurationError at key `where` for more than half a turn."""
     chi = pose_coordinates(pose)
     require_half_turn(float(np.linalg.norm(chi[3:])), f"{where}.rotation_vector_deg")
     return chi
 
 
 def axis_limits(limits: AxisLimits) -> Array:
-    """Limits (3, 6): largest velocity, acceleration and jerk of the pose coordinates, in m and rad."""
+    """Limits (3, 6): largest velocity, acceleration, jerk of position (m) and rotation vector (rad)."""
 
     def six(linear: float | tuple[float, ...], angular: float | tuple[float, ...]) -> Array:
         return np.concatenate([np.broadcast_to(linear, 3), np.deg2rad(np.broadcast_to(angular, 3))])
@@ -226,14 +226,14 @@ def axis_limits(limits: AxisLimits) -> Array:
 
 
 def coordinates_of_points(points: Sequence[Pose | Waypoint]) -> Array:
-    """Coordinates chi (n, 6) of `reference.points`; ConfigurationError for more than half a turn."""
+    """Coordinates chi (n, 6) m, rad of `reference.points`; ConfigurationError for more than half a turn."""
     return np.array([checked_coordinates(point, f"reference.points[{k}]") for k, point in enumerate(points)])
 
 
 def require_half_turn(angle: float, where: str) -> None:
-    """Reject a rotation vector longer than half a turn: no platform turns so far, and the series are limited.
+    """Raise ConfigurationError, with the key `where`, for a rotation angle, rad, of more than half a turn.
 
-    angle in rad. Raises ConfigurationError.
+    No platform turns so far, and the power series of the rotations hold for a limited angle.
     """
     if angle > np.pi:
         raise ConfigurationError(

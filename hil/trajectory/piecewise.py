@@ -1,4 +1,4 @@
-"""Piecewise polynomial paths, for way-points and splines."""
+"""Paths that are polynomials of time between knots, for way-points and splines."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from hil.trajectory.path import SAMPLE, CompiledTrajectory, lift
 
 DEGREE = 5
 PIECES = np.dtype([("knots", "<i8"), ("coefficients", "<i8"), ("segments", "<i8"), ("periods", "<i8")])
-"""Addresses of the knots (n + 1,) and the coefficients (n, 6, 6), n, and the number of passes; 0: endless."""
+"""Layout of the path: addresses of knots (n + 1,) s and coefficients (n, 6, 6); n; passes, 0: endless."""
 
 
 @pointed(record(PIECES), REAL, record(SAMPLE))
@@ -76,5 +76,5 @@ class PiecewisePolynomial(CompiledTrajectory):
 
     @property
     def knots(self) -> Array:
-        """Times (n + 1,) s of the knots, at which the acceleration may jump."""
+        """Times (n + 1,) s of the knots between the polynomials, at which the acceleration may jump."""
         return self._knots.copy()

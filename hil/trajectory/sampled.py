@@ -24,11 +24,11 @@ _QUOTED = 200
 MOST_CSV_BYTES = 32 << 20
 """Size limit of a CSV file of poses: some ten minutes at 1 kHz."""
 LEAP = 10.0
-"""Ratio of the fastest to the median rate between two rows above which the two are reported."""
+"""Ratio of the fastest to the median rate between two rows above which both rows are reported."""
 FEWEST, LEAST_NOISE = 20, 1e-8
-"""Fewest rows in which noise is looked for, and the smallest that counts, m or rad."""
+"""Fewest rows in which noise is estimated, and the smallest noise that is reported, m or rad."""
 NOISY = 1.0
-"""Ratio of the noise in the second derivative to all of it above which noise is reported."""
+"""Share of noise in the second derivative of a spline above which noise is reported."""
 
 
 def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
@@ -77,7 +77,7 @@ def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
 
 
 def _row(words: list[str], before: float) -> tuple[list[float], str]:
-    """Seven numbers of a line, and a problem with them or "". `before`: time of the previous row."""
+    """Numbers (7,) of a line and "", or a message about an invalid one. `before`: time of the last row, s."""
     numbers = []
     for name, word in zip(HEADER, words, strict=True):
         number = plain_number(word)
@@ -92,7 +92,7 @@ def _row(words: list[str], before: float) -> tuple[list[float], str]:
 
 
 def roughness(t: Array, chi: Array) -> str:
-    """Reason in the rows why their spline moves more than they mean, or "".
+    """Warning if a spline through rows t (n,) s, chi (n, 6) m, rad overshoots or amplifies noise; else "".
 
     Noise: white noise of deviation sigma has fourth differences of deviation sqrt(70) sigma, and in the
     second derivative of a cubic spline, at distances h, 6 sigma / h^2.
@@ -120,7 +120,7 @@ def roughness(t: Array, chi: Array) -> str:
     return (
         f"{AXES[axis]} has noise of about {noise:.2g} {unit} in rows {1e3 * step:.3g} ms apart, which is "
         f"{bent:.2g} {unit}/s^2 in the second derivative of the spline, and so force: smooth the rows, or "
-        "give fewer"
+        "use fewer rows"
     )
 
 
@@ -144,7 +144,7 @@ def clamped_slopes(t: Array, y: Array) -> Array:
 
 @kernel(VECTOR, OUT_VECTOR, OUT_MATRIX, OUT_MATRIX)
 def _eliminate(h: Array, diagonal: Array, right: Array, slopes: Array) -> None:
-    """Fill the inner slopes (n - 2, m); changes diagonal (n - 2,) and right (n - 2, m)."""
+    """Solve the tridiagonal system for the inner slopes (n - 2, m); overwrites `diagonal` and `right`."""
     for i in range(1, len(diagonal)):
         factor = 1.0 / h[i] / diagonal[i - 1]
         diagonal[i] -= factor / h[i]
@@ -156,7 +156,7 @@ def _eliminate(h: Array, diagonal: Array, right: Array, slopes: Array) -> None:
 
 
 def spline_coefficients(t: Array, y: Array) -> Array:
-    """Coefficients (n - 1, 6, m) [segment, power, axis] in normalised time of the clamped cubic spline."""
+    """Coefficients (n - 1, 6, m) [segment, power, axis], in normalised time, of the clamped cubic spline."""
     h = np.diff(t)[:, None]
     slopes = clamped_slopes(t, y)
     m0, m1, rise = slopes[:-1] * h, slopes[1:] * h, np.diff(y, axis=0)

@@ -1,4 +1,4 @@
-"""Sums of sinusoids about a centre, faded in and out."""
+"""Sums of sinusoids about a centre pose, faded in and out."""
 
 import math
 from typing import Any
@@ -24,7 +24,7 @@ WAVES = np.dtype(
         ("ramp", "<f8"),
     ]
 )
-"""Addresses of the axis of each component (n,), and of amplitude (m or rad), Hz, rad of each (n, 3); n."""
+"""Layout: addresses of the axis (n,), and amplitude (m, rad), Hz, rad (n, 3), of n components; n."""
 _TURN = 2.0 * math.pi
 
 
@@ -45,7 +45,7 @@ def fade(t: float, duration: float, ramp: float) -> tuple[float, float, float]:
 
 @pointed(record(WAVES), REAL, record(SAMPLE))
 def evaluate(path: Any, t: float, into: Any) -> int:
-    """Fill the sample at t (s) of chi = centre + e(t) sum a sin(2 pi f t + phase)."""
+    """Fill the sample at t (s) of chi = centre + e(t) sum a sin(2 pi f t + phase), e(t) the envelope."""
     duration = path.duration
     axis, wave = integers_at(path.axis, path.count), reals_at(path.wave, 3 * path.count)
     moving = 0.0 <= t <= duration
@@ -72,12 +72,12 @@ def evaluate(path: Any, t: float, into: Any) -> int:
 class SinusoidTrajectory(CompiledTrajectory):
     """chi(t) = centre + e(t) sum of a sin(2 pi f t + phase) on single axes, with the envelope e(t).
 
-    With `ramp_s` 0 it starts and ends with a speed. Raises ConfigurationError if the two ramps exceed the
-    duration, or a rotation could exceed half a turn.
+    With `ramp_s` 0 the trajectory starts and ends in motion. Raises ConfigurationError if the two ramps
+    exceed the duration, or a rotation could exceed half a turn.
     """
 
     def __init__(self, settings: SinusoidReference, home: Pose, largest: Array | None = None) -> None:
-        """Build from settings. largest: largest deviation (6,) m, rad; default: sum of the amplitudes."""
+        """Build from the settings. largest: largest deviation (6,) m, rad; default: sum of the amplitudes."""
         if 2.0 * settings.ramp_s > settings.duration_s:
             raise ConfigurationError(
                 f"reference.ramp_s: fading in and out takes 2 x {settings.ramp_s:g} s, more than duration_s "

@@ -1,4 +1,4 @@
-"""A controlled stop: path time slows to rest on the same path."""
+"""A controlled stop: the platform stays on its path while path time slows to rest."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ STOP = np.dtype([("function", "<i8"), ("context", "<i8"), ("t_stop", "<f8"), ("s
 
 @helper
 def path_time(t: float, t_stop: float, duration: float) -> tuple[float, float, float]:
-    """Path time sigma(t) with its first and second derivative.
+    """Path time sigma(t), s, of a controlled stop, with its first and second derivative.
 
     Until `t_stop` sigma = t; then d sigma/dt = 1 - 3 u^2 + 2 u^3 with u = (t - t_stop)/duration. sigma comes
     to rest at t_stop + duration/2 without a jump in acceleration. The largest deceleration is 1.5/duration
@@ -29,7 +29,7 @@ def path_time(t: float, t_stop: float, duration: float) -> tuple[float, float, f
 
 @helper
 def slow(sample: Any, rate: float, curvature: float) -> None:
-    """Scale twist and dtwist in place for path time at `rate`, by the chain rule."""
+    """Scale twist and dtwist in place for path time with the given first and second derivative."""
     for i in range(6):
         along = sample.twist[i]
         sample.twist[i] = rate * along
@@ -38,7 +38,7 @@ def slow(sample: Any, rate: float, curvature: float) -> None:
 
 @pointed(record(STOP), REAL, record(SAMPLE))
 def evaluate(stop: Any, t: float, into: Any) -> int:
-    """Fill the sample of the stopping path."""
+    """Fill the sample at t (s) of a path that slows to rest after stop.t_stop (s)."""
     sigma, rate, curvature = path_time(t, stop.t_stop, stop.slowing)
     status: int = call(stop.function, (stop.context, sigma, address_of(into)))
     slow(into, rate, curvature)
@@ -48,8 +48,8 @@ def evaluate(stop: Any, t: float, into: Any) -> int:
 class StoppingTrajectory(CompiledTrajectory):
     """`trajectory` until `t_stop` (s), then slowed to rest along the same path within `duration_s` > 0.
 
-    Its time is the time of `trajectory`, which it can replace at t_stop without a jump in pose, twist or
-    dtwist. It is at rest from t_stop + duration_s = `self.duration_s` on.
+    The stop has the same clock as `trajectory`, which it can replace at t_stop without a jump in pose, twist
+    or dtwist. The platform is at rest from t_stop + duration_s = `self.duration_s` on.
     """
 
     def __init__(self, trajectory: Trajectory, t_stop: float, duration_s: float) -> None:

@@ -18,7 +18,7 @@ from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import SAME, require_closed
 
 APART = 1e-12
-"""s: instants of two axes closer than this are merged."""
+"""s: instants of two axes that are closer than this become one knot."""
 LONGEST_MOVE_S = 7600.0
 """Longest move that Ruckig plans: beyond it, polynomials of time lose too many digits."""
 
@@ -70,7 +70,7 @@ def plan(settings: TimeOptimalReference) -> bytes:
 
 
 def planned_trajectory(file: bytes, periods: int | None) -> PiecewisePolynomial:
-    """Trajectory of a `plan`. Raises LogError for an invalid file, because a log is untrusted input."""
+    """Trajectory from the bytes of `plan`. Raises LogError for invalid bytes, as logs are untrusted."""
     table = _table(file)
     knots = np.concatenate([[0.0], table[:, 0]])
     if not np.isfinite(table).all() or not (np.diff(knots) > 0.0).all():
@@ -96,7 +96,7 @@ def _table(file: bytes) -> Array:
 
 
 def _least_s(way: Array, limits: Array) -> float:
-    """Time below which no move over way (6,) is within one of the limits (3, 6) alone, s."""
+    """Lower bound, s, on the time of a move over way (6,) m, rad: the slowest of each limit (3, 6) alone."""
     v, a, j = limits
     return float(max((way / v).max(), (2.0 * np.sqrt(way / a)).max(), np.cbrt(32.0 * way / j).max()))
 
@@ -134,7 +134,7 @@ def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:
 
 
 def _states(profile: Profile) -> tuple[Array, Array]:
-    """Instants (n,) and, from each on, position, velocity, acceleration and constant jerk (n, 4)."""
+    """Instants (n,) s of an axis; (n, 4): position, velocity, acceleration and the jerk from there on."""
     instants = np.concatenate([[0.0], np.cumsum(profile.t)])
     jerk = [*profile.j, 0.0]
     return instants, np.array([profile.p, profile.v, profile.a, jerk]).T

@@ -16,11 +16,11 @@ CUBIC = (0.0, 0.0, 3.0, -2.0, 0.0, 0.0)
 QUINTIC = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
 """Coefficients of the scaling function s(u), s(0) = 0, s(1) = 1, with speed 0 at both ends."""
 SAME = 1e-9
-"""m and rad: largest distance of the last point from the first one in a repeated path."""
+"""Largest distance, m or rad, between first and last point of a repeated path."""
 
 
 def rest_to_rest(s: tuple[float, ...], t: Array, chi: Array) -> Array:  # noqa: ARG001
-    """Coefficients (n - 1, 6, 6) of straight segments through chi (n, 6), scaled by s(u)."""
+    """Coefficients (n - 1, 6, 6) of straight segments with rest at each of chi (n, 6); s: path share s(u)."""
     coefficients = np.array(s)[None, :, None] * np.diff(chi, axis=0)[:, None, :]
     coefficients[:, 0, :] = chi[:-1]
     return coefficients
@@ -29,10 +29,10 @@ def rest_to_rest(s: tuple[float, ...], t: Array, chi: Array) -> Array:  # noqa: 
 def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
     """Velocities and accelerations (n, m) of the minimum-jerk path through y (n, m) at t (n,).
 
-    It minimises the integral of the squared third derivative, at rest at both ends. Stationarity makes it
-    quintic between the knots, with continuous third and fourth derivative at the inner ones (T. Flash,
-    N. Hogan, The coordination of arm movements, J. Neuroscience 5(7), 1985, appendix). A quintic of length h
-    and rise D with end motion (v0, a0), (v1, a1) has the third derivative times h^3, the fourth times h^4,
+    The path minimises the integral of the squared third derivative, at rest at both ends. Stationarity makes
+    it quintic between the knots, with continuous third and fourth derivative at the inner ones (T. Flash, N.
+    Hogan, The coordination of arm movements, J. Neuroscience 5(7), 1985, appendix). A quintic of length h and
+    rise D with end motion (v0, a0), (v1, a1) has the third derivative times h^3, the fourth times h^4,
 
     - 60 D - 36 v0 h - 24 v1 h - 9 a0 h^2 + 3 a1 h^2 and -360 D + 192 v0 h + 168 v1 h + 36 a0 h^2 - 24 a1 h^2
       at its start,
@@ -40,7 +40,7 @@ def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
       at its end.
 
     The conditions at the inner knots are a symmetric positive definite block tridiagonal system in (v, a)
-    with 2 x 2 blocks. It is solved by block elimination, which needs no pivoting.
+    with 2 x 2 blocks. The system is solved by block elimination, which needs no pivoting.
     """
     n = len(t)
     v, a = np.zeros_like(y), np.zeros_like(y)
@@ -69,7 +69,7 @@ def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _coupling(h: float) -> Array:
-    """Coupling block between the equations of a knot and (v, a) of the next one, at the distance h."""
+    """Block of the linear system that couples a knot with (v, a) of the next knot, h seconds later."""
     i = 1.0 / h
     return np.array([[168.0 * i * i * i, -24.0 * i * i], [24.0 * i * i, -3.0 * i]])
 
@@ -81,12 +81,12 @@ def _inverse(A: Array) -> Array:
 
 
 def _times(A: Array, B: Array) -> Array:
-    """Product of A (2, 2) and B (2, m), term by term."""
+    """Product of A (2, 2) and B (2, m), summed in a fixed order so that all processors round alike."""
     return np.stack([A[i, 0] * B[0] + A[i, 1] * B[1] for i in range(2)])
 
 
 def minimum_jerk_coefficients(t: Array, y: Array) -> Array:
-    """Coefficients (n - 1, 6, m) [segment, power, axis] in normalised time of the path of `knot_motion`."""
+    """Coefficients (n - 1, 6, m) [segment, power, axis], in normalised time, of the minimum-jerk path."""
     v, a = knot_motion(t, y)
     h = np.diff(t)[:, None]
     D, v0, v1 = np.diff(y, axis=0), v[:-1] * h, v[1:] * h
@@ -110,7 +110,7 @@ INTERPOLATIONS: dict[str, Callable[[Array, Array], Array]] = {
 
 
 def require_closed(chi: Array, periods: int | None, where: str) -> None:
-    """Check that a repeated path chi (n, 6) ends where it starts. Raises ConfigurationError."""
+    """Raise ConfigurationError, at key `where`, if a repeated path chi (n, 6) does not end at its start."""
     gap = float(np.max(np.abs(chi[-1] - chi[0])))
     if periods != 1 and gap > SAME:
         raise ConfigurationError(

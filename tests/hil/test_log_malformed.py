@@ -83,7 +83,7 @@ FOOTER = struct.pack("<BQQQI", container.FOOTER, 20, 0, 0, 0)
         *((MAGIC[:size], f"cut at {size} bytes") for size in range(1, 8)),
         *((MAGIC[: size - 1] + b"x", "not an MCAP file") for size in range(1, 8)),
         *(((MAGIC + bytes(40))[: size - 8] + MAGIC, f"cut at {size} bytes") for size in (8, 16, 43, 44)),
-        (MAGIC + FOOTER + MAGIC, "damaged at byte 37: no record"),
+        (MAGIC + FOOTER + MAGIC, "damaged at byte 37: no valid record"),
     ],
 )
 def test_too_short_file_is_reported_as_cut_or_as_not_a_log(tmp_path, content, says):
@@ -95,7 +95,7 @@ def test_too_short_file_is_reported_as_cut_or_as_not_a_log(tmp_path, content, sa
 @pytest.mark.parametrize("head", [(0, 5), (container.METADATA, 1 << 40), (container.DATA_END, (1 << 64) - 1)])
 def test_invalid_record_in_a_complete_file_is_reported_with_its_place(path, damaged, head):
     end = path.read_bytes().rindex(struct.pack("<BQ", container.DATA_END, 4))
-    says = f"bad.mcap: damaged at byte {end}: no record.*; run `hil replay --salvage`"
+    says = f"bad.mcap: damaged at byte {end}: no valid record.*; run `hil replay --salvage`"
     with pytest.raises(LogError, match=says):
         Log(damaged(end, struct.pack("<BQ", *head)))
 

@@ -47,7 +47,7 @@ def test_last_record_of_a_cut_file_is_read_as_far_as_it_goes(tmp_path):
 def test_reading_stops_at_unknown_bytes_and_reports_their_place(tmp_path, opcode):
     file, starts = placed(tmp_path, metadata("a"), metadata("b"), raw(opcode, b"1"), metadata("c"))
     for skip in ((), (0x0C,)):
-        with pytest.raises(LogError, match=f"damaged at byte {starts[2]}: no record"):
+        with pytest.raises(LogError, match=f"damaged at byte {starts[2]}: no valid record"):
             found_in(file, *skip)
     assert len(found_in(file, cut=True)) == 2
 
@@ -211,14 +211,14 @@ def test_message_of_less_than_22_bytes_is_refused():
     for size in (0, 13, 14, 21):
         short = raw(5, bytes(size))
         for data in (message(1, 5, 0) + short, short + message(1, 5, 0)):
-            with pytest.raises(LogError, match=r"less than 22 bytes|are no record"):
+            with pytest.raises(LogError, match=r"less than 22 bytes|are not a record"):
                 split(data)
 
 
 @pytest.mark.parametrize("left", [1, 8, 9, 15, 22, 23, 30])
 def test_incomplete_last_record_is_refused_unless_the_chunk_is_cut(left):
     data = message(3, 9, 0) + message(3, 9, 0)[:left]
-    with pytest.raises(LogError, match=f"the last {left} bytes of a chunk are no record"):
+    with pytest.raises(LogError, match=f"the last {left} bytes of a chunk are not a record"):
         split(data)
     table, _ = split(data, complete=False)
     assert (table.offset.tolist(), table.length.tolist()) == ([0], [31])
@@ -246,5 +246,5 @@ def test_channels_between_messages_are_read_and_schemas_skipped():
 @pytest.mark.parametrize("opcode", [0, 1, 2, 6, 7, 8, 0x0C, 0x0F, 0x80])
 def test_record_of_another_kind_in_a_chunk_is_refused(opcode):
     for size in (22, 50):
-        with pytest.raises(LogError, match="no message, schema or channel"):
+        with pytest.raises(LogError, match="not a message, schema or channel"):
             split(message(1, 5, 0) + raw(opcode, bytes(size)))

@@ -1,1 +1,1 @@
-"""The parts of the benchmark, one file each; `tools.benchmarks` runs them and prints their figures."""
+"""Parts of the speed benchmark, one file each; `python -m tools.benchmarks` runs them all."""

@@ -1,4 +1,4 @@
-"""`make bench`: speed of the parts of the project, each figure with its mark.
+"""`make bench`: speed of the parts of the project, each figure with its limit, called mark.
 
 A benchmark, not a test: it exits 0 whatever the figures are, and 1 if a part could not be measured. The
 marks are for two idle cores with SCHED_FIFO.
@@ -36,7 +36,7 @@ PARTS: dict[str, tuple[Callable[[Benchmark], list[Figure]], str]] = {
 
 
 def machine(priority: int) -> dict[str, str]:
-    """Describe CPU, cores, kernel and the scheduler of the loop."""
+    """CPU, cores, kernel, scheduler of the loop and Python version of this machine, as text."""
     found = environment()
     return {
         "cpu": found.get("cpu", "unknown CPU"),
@@ -60,7 +60,7 @@ def machine(priority: int) -> dict[str, str]:
 def main(only: str | None, seconds: float, json_file: Path | None) -> None:
     """Measure this machine: compute, laws, wake-ups, latency, recorder, replay, FMU.
 
-    The marks are for two idle cores with SCHED_FIFO. Logs go to a folder under runs/ that is
+    The limits (marks) are for two idle cores with SCHED_FIFO. Logs go to a folder under runs/ that is
     removed at the end.
     """
     try:
@@ -76,7 +76,7 @@ def main(only: str | None, seconds: float, json_file: Path | None) -> None:
 
 
 def run_parts(names: list[str], seconds: float) -> dict[str, Any]:
-    """Run parts, print each as soon as it is measured, and return all figures as plain values.
+    """Run parts of the benchmark, print each when it is measured, and return all figures as plain values.
 
     A part that fails prints its reason and does not stop the others.
     Raises HilError if the benchmark cannot begin.

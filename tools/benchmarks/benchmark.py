@@ -1,4 +1,4 @@
-"""Base of all parts: duration, folder, and the simulated run that several parts share."""
+"""Common data of all benchmark parts: duration, folder, and the simulated run that several parts use."""
 
 import json
 import os
@@ -20,14 +20,14 @@ CHANNEL = "hil-benchmark"
 PATIENCE_S = 0.2
 """Stalls up to this long end no run. The host of a virtual machine stops its processor for 5 to 30 ms."""
 SPARE_S = 60.0
-"""Time by which a path is longer than the run on it."""
+"""Time, s, by which the path must be longer than the run."""
 
 
 def patient(name: str, folder: Path, seconds: float) -> Configuration:
     """Write a configuration that tolerates stalls of the host into a folder, and load it.
 
-    It has buses of its own, and a path longer than `seconds`. Raises ConfigurationError if the path cannot
-    be so long.
+    The configuration has buses of its own, and a path longer than `seconds`. Raises ConfigurationError if the
+    path cannot be so long.
     """
     shipped = load(name)
     values: dict[str, Any] = dict(parse(shipped.text).value or {})
@@ -46,7 +46,7 @@ def patient(name: str, folder: Path, seconds: float) -> Configuration:
 
 @dataclass
 class Benchmark:
-    """One run of the benchmark. Mutable state: the simulated run, made for the first part that needs it."""
+    """Settings and shared data of a benchmark. Mutable state: the simulated run, made at its first use."""
 
     folder: Path
     """Folder for logs; on a disk, so that the recorder waits as in real runs."""
@@ -57,29 +57,29 @@ class Benchmark:
 
     @cached_property
     def configuration(self) -> Configuration:
-        """The shipped configuration."""
+        """Shipped configuration `virtual`."""
         return load("virtual")
 
     def cycle(self) -> Cycle:
-        """Build a controller of the shipped configuration."""
+        """New controller of the shipped configuration `virtual`."""
         c = self.configuration
         return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
 
     @cached_property
     def simulated(self) -> dict[str, Any]:
-        """Summary of `hil sim` with the shipped configuration, recorded but not replayed."""
+        """Summary of a recorded `hil sim virtual`, without the replay at its end."""
         self.say("hil sim virtual")
         log = self.folder / "sim.mcap"
         return simulate(self.configuration, log=log, duration_s=self.seconds, check_replay=False)
 
     @cached_property
     def ticks(self) -> list[Tick]:
-        """Ticks of that run, in memory."""
+        """Recorded ticks of the simulated run, in memory."""
         return list(Log.open(Path(self.simulated["log"])).ticks())
 
 
 def cpu_s(pid: int) -> float:
-    """Measure the processor time of a process, user and system, s; resolution 10 ms."""
+    """Processor time of a process so far, user and system, s; resolution 10 ms."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

@@ -1,4 +1,4 @@
-"""Results of the benchmark: figures, with the mark of each and whether it is met."""
+"""Results of the benchmark: figures, each with its limit (mark) and whether it meets the limit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ FAILED, EARLY = "failed", "ended early"
 
 
 class Mark(NamedTuple):
-    """Limit for all values of a figure, on two cores with SCHED_FIFO."""
+    """Limit for all values of a figure; it applies to two idle cores with SCHED_FIFO."""
 
     limit: float
     at_most: bool = True
@@ -24,7 +24,7 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """One line: a value, or several of one quantity; without values the note gives the reason."""
+    """One line of results: values of one quantity; without values the note states why."""
 
     name: str
     values: Mapping[str, float] = field(default_factory=dict)
@@ -35,25 +35,25 @@ class Figure:
 
     @property
     def met(self) -> bool | None:
-        """True if every value meets the mark, which NaN never does; None without a mark or values."""
+        """True if every value keeps the limit `mark`, which NaN never does; None without mark or values."""
         if self.mark is None or not self.values:
             return None
         limit, at_most = self.mark
         return all(value <= limit if at_most else value >= limit for value in self.values.values())
 
     def text(self) -> str:
-        """Format the values with their unit, to three digits."""
+        """Text of the values with their unit, to three digits."""
         parts = (f"{name} {_number(value)}".strip() for name, value in self.values.items())
         return f"{', '.join(parts)} {self.unit}".strip() if self.values else ""
 
     def remark(self) -> str:
-        """Format the mark with its outcome, and the note."""
+        """Text of the limit `mark`, of whether it is met, and of the note."""
         outcome = {True: "met", False: "not met", None: "not measured"}[self.met]
         mark = "" if self.mark is None else f"mark {self.mark} {self.unit}".rstrip() + f": {outcome}"
         return "; ".join(filter(None, (mark, self.note)))
 
     def plain(self) -> dict[str, Any]:
-        """Convert to plain values for a JSON file."""
+        """Figure as plain values for a JSON file."""
         result: dict[str, Any] = {"name": self.name, "values": dict(self.values), "unit": self.unit}
         if self.mark is not None:
             result |= {"mark": str(self.mark), "met": self.met}
@@ -65,7 +65,7 @@ def _number(value: float) -> str:
 
 
 def spread(values: ArrayLike, *, largest: bool = False, scale: float = 1e-3) -> dict[str, float]:
-    """Median, p99 and, with `largest`, the maximum; empty without values. The scale turns ns into us."""
+    """Median, 99th percentile and, with `largest`, maximum of values times `scale` (default: ns to us)."""
     x = np.asarray(values, np.float64) * scale
     if not x.size:
         return {}
@@ -74,7 +74,7 @@ def spread(values: ArrayLike, *, largest: bool = False, scale: float = 1e-3) -> 
 
 
 def lines(name: str, figures: list[Figure]) -> list[str]:
-    """Format a part as text: its name, then one line for each figure, in columns."""
+    """Lines of text about a benchmark part: its name, then one line for each figure, in columns."""
     first = max((len(f.name) for f in figures), default=0)
     second = max((len(f.text()) for f in figures), default=0)
     return [name, *(f"  {f.name:<{first}}  {f.text():<{second}}  {f.remark()}".rstrip() for f in figures)]

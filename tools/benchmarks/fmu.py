@@ -1,4 +1,4 @@
-"""One step of our FMU: in C alone, through the host in this process, and in a child process."""
+"""Time of one step of our FMU: in C alone, hosted in this process, and in a child process."""
 
 import time
 from collections.abc import Callable
@@ -24,7 +24,7 @@ _now = time.perf_counter_ns
 
 
 def fmu(benchmark: Benchmark) -> list[Figure]:
-    """Step the platform by 1 ms at a time, with the force that carries its weight, brakes open."""
+    """Measure 1 ms steps of the FMU, with leg forces that carry the weight and open brakes."""
     benchmark.say("the FMU, in process and in a child process")
     cycle = benchmark.cycle()
     force = cycle.effort.model.inverse_dynamics(cycle.parts.home_p, cycle.parts.home_R, REST, REST)

@@ -1,4 +1,4 @@
-"""`hil run` with its plant in real time, as users start it: figures from its log."""
+"""Timing of `hil run` with its plant in real time, as users start it, from the log."""
 
 import json
 import subprocess
@@ -26,7 +26,7 @@ ENDS_S = 120.0
 
 
 class LiveRun(NamedTuple):
-    """Results of a run."""
+    """Summary and memory use of one run in real time."""
 
     summary: dict[str, Any]
     resident_MB: list[float]
@@ -36,7 +36,8 @@ class LiveRun(NamedTuple):
 def live_run(c: Configuration, seconds: float, folder: Path) -> LiveRun:
     """Run the daemon with its plant for `seconds`, and measure its memory.
 
-    c comes from a file; log and summary go into a new folder in `folder`. Raises RunError without a summary.
+    c must be loaded from a file; log and summary go into a new folder in `folder`. Raises RunError if the run
+    leaves no summary.
     """
     made = Path(tempfile.mkdtemp(dir=folder))
     log, told = made / "run.mcap", made / "run.json"
@@ -69,7 +70,7 @@ def live_run(c: Configuration, seconds: float, folder: Path) -> LiveRun:
 
 
 def realtime(benchmark: Benchmark) -> list[Figure]:
-    """Run the loop in real time, the plant in a second process, the recorder in a third.
+    """Measure the loop in real time, with the plant in a second process and the recorder in a third.
 
     Raises RunError if the run never powered the drives.
     """
@@ -77,7 +78,7 @@ def realtime(benchmark: Benchmark) -> list[Figure]:
 
 
 def two_buses(benchmark: Benchmark) -> list[Figure]:
-    """Run the loop at 2 kHz on two buses, as far as this machine allows: figures without marks."""
+    """Measure the loop at 2 kHz on two buses, as far as this machine allows; figures have no limits."""
     found = _figures(benchmark, "two_buses", min(TWO_BUSES_S, benchmark.seconds))
     return [replace(each, mark=None) for each in found]
 

@@ -1,4 +1,4 @@
-"""Without a clock: the speed of `hil sim`, of `hil replay`, and of a recorder with constant input."""
+"""Speed of `hil sim`, of `hil replay`, and of a recorder with constant input, none in real time."""
 
 import time
 from pathlib import Path
@@ -12,14 +12,14 @@ from tools.benchmarks.benchmark import Benchmark, cpu_s
 from tools.benchmarks.figures import Figure, Mark, spread
 
 TICKS = 12_000
-"""Fewer ticks than the ring below has elements: none is dropped, however slow the recorder is."""
+"""Number of ticks, less than RING, so that none is dropped however slow the recorder is."""
 RING = 16_384
 FAST = Mark(10.0, at_most=False)
-"""Times real time."""
+"""Smallest allowed speed, as a multiple of real time."""
 
 
 def simulation(benchmark: Benchmark) -> list[Figure]:
-    """Run both ends of the bus in one process, with recording."""
+    """Measure `hil sim`: both ends of the bus in one process, with recording."""
     summary = benchmark.simulated
     note = f"{summary['ticks']} ticks, recording on, first to last tick"
     factor = {"": summary["real_time_factor"]}
@@ -27,7 +27,7 @@ def simulation(benchmark: Benchmark) -> list[Figure]:
 
 
 def replaying(benchmark: Benchmark) -> list[Figure]:
-    """Replay the log of the simulated run."""
+    """Measure the replay of the simulated run's log."""
     log = Path(benchmark.simulated["log"])
     benchmark.say(f"hil replay {log.name}")
     comparison, summary = replay_log(log)
@@ -36,7 +36,7 @@ def replaying(benchmark: Benchmark) -> list[Figure]:
 
 
 def recorder(benchmark: Benchmark) -> list[Figure]:
-    """Feed recorded ticks of the simulated run into a recording, without pause."""
+    """Measure a recorder that gets the ticks of the simulated run without pause."""
     entries = benchmark.ticks[:TICKS]
     c = benchmark.configuration
     benchmark.say(f"{len(entries)} ticks into the recorder")

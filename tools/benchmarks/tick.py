@@ -1,4 +1,4 @@
-"""Compute time of one tick, with everything in the caches: the whole step, and the part of each law."""
+"""Compute time of one tick with warm caches: the whole control step, and the part of each law."""
 
 import gc
 import time
@@ -26,11 +26,11 @@ from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, spread
 
 COMPUTE = Mark(40.0)
-"""us, from the received frames to the frames to send and the row."""
+"""Limit of a tick's compute time, us, from received frames to frames to send and the row."""
 SLEEP_S = 1e-5
-"""Shortest possible sleep: its duration does not matter."""
+"""Shortest possible sleep, s; its real duration does not matter."""
 BLOCK = 100
-"""Ticks of a block, in which other processes may disturb the core or not."""
+"""Number of ticks in a block; other processes disturb some blocks and not others."""
 PATH_TICKS = 2000
 """Ticks of one period of the path at 1 kHz."""
 OFF = np.full(LEGS, 1e-4)
@@ -39,7 +39,7 @@ _now = time.perf_counter_ns
 
 
 class Step(NamedTuple):
-    """Result of one recorded tick."""
+    """Result of computing one recorded tick again."""
 
     mode: Mode
     took_ns: int
@@ -48,7 +48,7 @@ class Step(NamedTuple):
 
 
 def steps(entries: Iterable[Tick], cycle: Cycle, sleep_s: float = 0.0) -> Iterator[Step]:
-    """Give a cycle the recorded inputs of ticks, one by one; sleep before each if `sleep_s` > 0."""
+    """Compute recorded ticks again, one by one, with a controller; sleep before each if `sleep_s` > 0."""
     for entry in entries:
         inp = recorded_input(entry)
         opening = cycle.begin(inp.tick)
@@ -62,7 +62,7 @@ def steps(entries: Iterable[Tick], cycle: Cycle, sleep_s: float = 0.0) -> Iterat
 
 
 def tick(benchmark: Benchmark) -> list[Figure]:
-    """Give a cycle the recorded ticks of the simulated run from memory, one after the other."""
+    """Measure the compute time of a tick, on the recorded inputs of the simulated run, and of each law."""
     benchmark.say(f"{len(benchmark.ticks)} ticks from memory, twice through the cycle")
     whole, slept = (_tracking(benchmark, sleep_s) for sleep_s in (0.0, SLEEP_S))
     blocks = whole[: len(whole) // BLOCK * BLOCK].reshape(-1, BLOCK)
@@ -87,7 +87,7 @@ def _tracking(benchmark: Benchmark, sleep_s: float) -> Ints:
 
 
 def _laws(benchmark: Benchmark) -> Iterator[Figure]:
-    """Measure forward kinematics alone, then with each law, 0.1 mm off one period of the path."""
+    """Measure the time of forward kinematics alone and with each law, 0.1 mm off one period of the path."""
     c, parts = benchmark.configuration, benchmark.cycle().parts
     period_s = 1.0 / c.loop.rate_Hz
     context = LawContext(parts.platform, parts.model.leg_spin, period_s)

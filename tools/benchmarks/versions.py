@@ -27,14 +27,14 @@ KINDS = ("lockstep", "replay")
 
 
 class Stamps:
-    """Time and mode at the end of every block. Mutable state: both, and the number of ticks."""
+    """Time and mode at the end of each block of ticks. Mutable state: these, and the number of ticks."""
 
     def __init__(self) -> None:
         self.ticks = 0
         self.taken: list[tuple[int, int]] = []
 
     def tick(self, row: Any, count: int = 1) -> None:
-        """Count ticks; `row` is that of the last one."""
+        """Count ticks; `row` is the row of the last one."""
         self.ticks += count
         if self.ticks % BLOCK == 0:
             self.taken.append((time.perf_counter_ns(), int(row["mode"])))
@@ -86,7 +86,7 @@ def measure(configuration: str, duration_s: float) -> dict[str, list[float]]:
 
 
 def measured(checkout: Path, configuration: str, duration_s: float) -> dict[str, list[float]]:
-    """Call `measure` for a checkout, in a process of its own."""
+    """Result of `measure` for the sources in `checkout`, in a process of its own."""
     command = [sys.executable, "-P", __file__, "--configuration", configuration]
     command += ["--duration", str(duration_s)]
     own = os.environ | {"PYTHONPATH": str(checkout.resolve())}
@@ -105,7 +105,7 @@ def compare(checkouts: Sequence[Path], run: tuple[str, float], rounds: int) -> I
 
 
 def _quietest(us: list[float]) -> float:
-    """Compute the median of the fastest tenth of blocks."""
+    """Median of the fastest tenth of the times of blocks, us."""
     return median(sorted(us)[: max(1, len(us) // 10)])
 
 

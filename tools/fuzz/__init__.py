@@ -1,1 +1,1 @@
-"""`make fuzz`: untrusted input, damaged at random from a seed; every answer has to be one quick line."""
+"""`make fuzz`: the program reads randomly damaged input, and must answer with one message, in time."""

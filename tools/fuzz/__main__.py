@@ -1,4 +1,4 @@
-"""`make fuzz`: cases one after the other, from a seed on."""
+"""`make fuzz`: runs fuzz cases one after the other, each with the next seed."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def main(seconds: float, seed: int, cases: int | None, only: str | None) -> None
 
 
 def _report(results: list[case.Result]) -> int:
-    """Print a line for each kind of input; return the number of cases with a finding."""
+    """Print one line about each kind of input; return the number of cases with a problem."""
     for name in TARGETS:
         mine = [r for r in results if r.target == name]
         found = Counter(r.problem.partition(":")[0] for r in mine if r.problem)

@@ -1,4 +1,4 @@
-"""One case: an input damaged according to its seed, read, and judged."""
+"""One fuzz case: an input is damaged according to its seed and read; time, memory, output are checked."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]"
 
 
 class Result(NamedTuple):
-    """Result of one case."""
+    """Result of one fuzz case."""
 
     seed: int
     target: str
     problem: str
-    """`traceback`, `hang`, `memory`, `control character`, `process` (left behind), or empty."""
+    """Kind of problem: `traceback`, `hang`, `memory`, `control character`, `process` (left behind) or ""."""
     detail: str
     seconds: float
-    """Processor time."""
+    """Processor time of the case, s."""
     grown_MB: float
-    """Peak resident size minus the size before the case."""
+    """Peak resident size minus the size before the case, MB."""
 
 
 def run(seed: int, stock: Stock, only: str | None = None) -> Result:
-    """Run the case of a seed, in a new folder of the stock; the folder is kept if there is a finding."""
+    """Run the fuzz case of a seed in a new folder, which stays if the case shows a problem."""
     rng = Random(seed)  # noqa: S311 - no secret
     drawn = rng.choices(list(TARGETS), [weight for _, weight in TARGETS.values()])[0]
     target = only or drawn
@@ -78,7 +78,7 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
 
 
 def children() -> set[int]:
-    """List the child processes of all threads of this process that have not been reaped."""
+    """Process ids of all children of this process that have not been waited for."""
     found: set[int] = set()
     for task in _TASKS.glob("*/children"):
         with contextlib.suppress(OSError):  # a thread that has just ended

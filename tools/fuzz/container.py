@@ -1,6 +1,6 @@
 """Damage to MCAP files: splits a file, damages one place, joins it again with correct or wrong checksums.
 
-Records and chunks are read and written here (https://mcap.dev/spec): the tests of our reader use them, too.
+Format: https://mcap.dev/spec. Tests of our reader also use these functions.
 """
 
 import io
@@ -37,7 +37,7 @@ Records = list[tuple[int, bytes]]
 
 
 def split(data: bytes) -> Records:
-    """Split a whole file, or the content of a chunk, into records: opcode and content of each."""
+    """Records (opcode, content) of an MCAP file, or of the content of a chunk."""
     found, at = [], len(MAGIC) if data.startswith(MAGIC) else 0
     while at + _HEAD.size <= len(data):
         opcode, length = _HEAD.unpack_from(data, at)
@@ -49,12 +49,12 @@ def split(data: bytes) -> Records:
 
 
 def joined(records: Records) -> bytes:
-    """Join records."""
+    """Join records (opcode, content) to the bytes of an MCAP file or chunk."""
     return b"".join(_HEAD.pack(opcode, len(content)) + content for opcode, content in records)
 
 
 def whole(records: Records) -> bytes:
-    """Make a file of records, with new checksums of data section and summary."""
+    """Bytes of an MCAP file with these records, and new checksums of data section and summary."""
     ends = [k for k, (opcode, _) in enumerate(records) if opcode == DATA_END]
     if not ends or not records or records[-1][0] != FOOTER or len(records[-1][1]) != 20:
         return MAGIC + joined(records) + MAGIC
@@ -72,13 +72,13 @@ def _offset_section(summary: Records) -> int:
 
 
 def unpacked(content: bytes) -> bytes:
-    """Unpack the records in a chunk of our recorder."""
+    """Records in a chunk of our recorder, uncompressed; `content`: that of the chunk record."""
     start = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[4] + 8
     return zstandard.ZstdDecompressor().decompress(content[start:], max_output_size=1 << 24)
 
 
 def packed(content: bytes, inner: bytes, size: int | None = None) -> bytes:
-    """Replace the records in chunk `content`, with a new checksum."""
+    """Content of a chunk record as `content`, but with the records `inner` and a new checksum."""
     first, last, _, _, _ = _CHUNK_HEAD.unpack_from(content)
     data = zstandard.ZstdCompressor(level=1).compress(inner)
     size = len(inner) if size is None else size
@@ -97,7 +97,7 @@ def _with(records: Records, k: int, content: bytes) -> Records:
 
 
 def _content(records: Records, rng: Random) -> Records:
-    """Damage the content of a record of any kind."""
+    """Damage the content of one record, drawn from all kinds of record."""
     k = _pick(records, rng)
     opcode, content = records[k]
     content = rng.choice(ANY)(content, rng)
@@ -107,7 +107,7 @@ def _content(records: Records, rng: Random) -> Records:
 
 
 def _text(records: Records, rng: Random) -> Records:
-    """Change a word in a text: metadata, configuration, schema, channel; the lengths are adapted."""
+    """Change a word in metadata, configuration, schema or channel; length fields are adapted."""
     k = _pick(records, rng, rng.choice((METADATA, METADATA, ATTACHMENT, ATTACHMENT, SCHEMA, CHANNEL)))
     opcode, content = records[k]
     stream, builder = ReadDataStream(io.BytesIO(content)), cast("Any", RecordBuilder())
@@ -128,7 +128,7 @@ def _text(records: Records, rng: Random) -> Records:
 
 
 def _inner(records: Records, rng: Random) -> Records:
-    """Damage the content of a chunk and pack it again: messages, with adapted lengths, or any bytes."""
+    """Damage messages or any bytes in a chunk, and compress the chunk again."""
     k = _pick(records, rng, CHUNK)
     inner = unpacked(records[k][1])
     if rng.random() < 0.6:
@@ -160,7 +160,7 @@ def strange_values(records: Records, rng: Random) -> Records:
 
 
 def _bomb(records: Records, rng: Random) -> Records:
-    """Insert chunks that unpack to far more than their size, or claim to."""
+    """Insert chunks that unpack to far more bytes than their size, or whose header states so."""
     k = _pick(records, rng, CHUNK)
     content, kind = records[k][1], rng.randrange(4)
     if kind == 0:  # says that it is huge
@@ -176,7 +176,7 @@ def _bomb(records: Records, rng: Random) -> Records:
 
 
 def _order(records: Records, rng: Random) -> Records:
-    """Swap two records, repeat one or delete one."""
+    """Swap two records, repeat one, or delete one."""
     changed = list(records)
     a, b = _pick(records, rng), _pick(records, rng)
     kind = rng.randrange(3)
@@ -190,7 +190,7 @@ def _order(records: Records, rng: Random) -> Records:
 
 
 def _length(data: bytes, records: Records, rng: Random) -> bytes:
-    """Change the length field of a record."""
+    """Change the length field of one record in the bytes of a file."""
     k = _pick(records, rng)
     at = len(MAGIC) + len(joined(records[:k]))
     length = len(records[k][1])
@@ -206,7 +206,7 @@ _STRUCTURED: tuple[Callable[[Records, Random], Records], ...] = (
 
 
 def damaged(data: bytes, rng: Random) -> bytes:
-    """Damage a log in one way; two cases in three have correct checksums around the damage."""
+    """Damage a log in one way drawn from `rng`; in two of three cases all checksums stay correct."""
     if rng.random() < 0.25:
         return rng.choice(ANY)(data, rng)
     records = split(data)

@@ -1,4 +1,4 @@
-"""Damage to bytes and to text, drawn from a seeded generator, independent of the meaning of the bytes."""
+"""Random damage to bytes and to text, by a seeded generator, without regard to their meaning."""
 
 import re
 from random import Random
@@ -9,12 +9,12 @@ WORDS = (
     "\u202e", "\x1b[31m", "\x00", "<script>alert(1)</script>", "../../etc/passwd", "/etc/passwd", "%n%s", "é",
     "'", '"', "\\", "&a", "*a", "!!python/object:os.system", "x" * 3000, "- - - - -", "[[[[[[[[", "\t",
 )  # fmt: skip
-"""Replacements for a word of a text."""
+"""Words that replace a word of a text."""
 _TOKEN = re.compile(rb"[A-Za-z0-9_.+-]+")
 
 
 def flip(data: bytes, rng: Random) -> bytes:
-    """Flip one to eight bits."""
+    """Invert one to eight bits at random places."""
     changed = bytearray(data)
     for _ in range(rng.randint(1, 8) if changed else 0):
         changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
@@ -22,7 +22,7 @@ def flip(data: bytes, rng: Random) -> bytes:
 
 
 def truncate(data: bytes, rng: Random) -> bytes:
-    """Cut off the end."""
+    """Cut the bytes off at a random place."""
     return data[: rng.randrange(len(data) + 1)]
 
 
@@ -34,7 +34,7 @@ def zero_run(data: bytes, rng: Random) -> bytes:
 
 
 def extreme(data: bytes, rng: Random) -> bytes:
-    """Set a number somewhere, often near the beginning, to an extreme value."""
+    """Overwrite 1, 2, 4 or 8 bytes, often near the beginning, with an extreme number."""
     width = rng.choice((1, 2, 4, 8))
     if len(data) < width:
         return data
@@ -45,20 +45,20 @@ def extreme(data: bytes, rng: Random) -> bytes:
 
 
 def insert(data: bytes, rng: Random) -> bytes:
-    """Insert random bytes."""
+    """Insert random bytes at a random place."""
     at = rng.randrange(len(data) + 1)
     return data[:at] + rng.randbytes(rng.choice((1, 3, 9, 300))) + data[at:]
 
 
 def doubled(data: bytes, rng: Random) -> bytes:
-    """Repeat a part of the bytes."""
+    """Insert a copy of a part of the bytes directly after this part."""
     start = rng.randrange(len(data) + 1)
     stop = min(len(data), start + rng.choice((1, 10, 100, 2000)))
     return data[:stop] + data[start:stop] + data[stop:]
 
 
 def word(data: bytes, rng: Random) -> bytes:
-    """Replace one word of a text."""
+    """Replace one word of a text by one of WORDS."""
     found = list(_TOKEN.finditer(data))
     if not found:
         return data
@@ -67,6 +67,6 @@ def word(data: bytes, rng: Random) -> bytes:
 
 
 ANY = (flip, truncate, zero_run, extreme, insert, doubled)
-"""Damage to any bytes."""
+"""Functions that damage any bytes."""
 TEXT = (word, word, word, flip, truncate, insert, doubled)
-"""Damage to texts: mostly to words, since what is not text is refused at once."""
+"""Functions that damage texts: mostly words, since other damage to texts is refused at once."""

@@ -37,7 +37,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Stock(NamedTuple):
-    """Sound inputs, made once."""
+    """Valid inputs that the fuzzer damages; made once."""
 
     log: bytes
     plant_log: bytes
@@ -45,7 +45,7 @@ class Stock(NamedTuple):
 
 
 def stock(folder: Path, duration_s: float = 0.12) -> Stock:
-    """Make the sound inputs: a short run of the shipped configuration, with the plant's log."""
+    """Make the valid inputs: the logs of controller and plant of a short run of `virtual`."""
     path = folder / "sound.mcap"
     if not path.exists():
         sim("virtual", log=path, duration_s=duration_s, plant_log=True)
@@ -53,7 +53,7 @@ def stock(folder: Path, duration_s: float = 0.12) -> Stock:
 
 
 def _command(*words: str) -> str:
-    """Run a command of `hil` in this process; return its output."""
+    """Output of a command of `hil`, run in this process; raises its exceptions."""
     result = CliRunner().invoke(main, list(words))
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
@@ -63,7 +63,7 @@ def _command(*words: str) -> str:
 
 
 def _api(path: str) -> str:
-    """Read a log through all of `hil.Log`."""
+    """Read a log through every method of `hil.Log`."""
     log = Log(path)
     with contextlib.suppress(HilError):
         log.figures()
@@ -186,7 +186,7 @@ _numbers = itertools.count()
 
 
 def _operator(stock: Stock, rng: Random, folder: Path) -> str:
-    """Send damaged lines to the operator's socket as fast as it takes them."""
+    """Send damaged lines to the socket that receives the operator's commands."""
     del stock
     with (
         OperatorChannel("fuzz", f"{next(_numbers)}") as channel,

@@ -1,4 +1,4 @@
-"""`make mutants`: draws mistakes, puts one at a time into a copy of the tree, runs tests until one fails."""
+"""`make mutants`: puts one mistake at a time into a copy of the project; runs tests until one fails."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def sampled(area: str, seed: int, count: int) -> list[tuple[str, Mutant]]:
 
 
 class Copy:
-    """A copy of the tree, in which one file at a time is changed, and the time limit of its tests."""
+    """A copy of the project in which one file at a time is changed, and the time limit of its tests."""
 
     def __init__(self, folder: Path, tests: list[str]) -> None:
         self.root, self.cache, self.tests = folder / "tree", folder / "cache" / CACHE_FOLDER.name, tests
@@ -100,7 +100,7 @@ class Copy:
         self.limit_s = 3 * (time.monotonic() - begun) + MORE_S
 
     def judged(self, mutant: Mutant) -> tuple[str, str]:
-        """Test a mutant; return `noticed`, `survived` or `not loaded`, and the test that failed."""
+        """Run the tests on a mutant; return `noticed`, `survived` or `not loaded`, and the failed test."""
         path, compiled = self.root / mutant.file, set(self.cache.iterdir())
         text = path.read_text(encoding="utf-8")
         path.write_text(mutant.applied(text), encoding="utf-8")
@@ -123,7 +123,7 @@ class Copy:
         yield from sorted(texts, key=lambda test: not re.search(rf"\b{module}\b", texts[test]))
 
     def run(self, tests: list[str], limit_s: float) -> tuple[int | None, str]:
-        """Run tests up to the first failure; the exit code is None after the time limit."""
+        """Run tests up to the first failure; return exit code, None after the time limit, and output."""
         command = [sys.executable, "-m", "pytest", "-qx", "-n0", "--tb=no", "-p", "no:cacheprovider"]
         output = self.root.parent / "output.txt"
         with output.open("w", encoding="utf-8") as file:
@@ -148,7 +148,7 @@ class Copy:
 
 
 def summary(area: str, count: int, left: list[Mutant]) -> str:
-    """Text with the share noticed, its 95 % interval, and every survivor."""
+    """Text with the share of mistakes that tests notice, its 95 % interval, and each unnoticed mistake."""
     share = f"{area}: {count - len(left)} of {count} noticed"
     if count:
         low, high = binomtest(count - len(left), count).proportion_ci(method="wilson")

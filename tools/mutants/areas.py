@@ -1,4 +1,4 @@
-"""The areas: their sources, and the test files that cover them."""
+"""Areas of the project: their sources, and the test files that have to notice mistakes in them."""
 
 from __future__ import annotations
 
@@ -65,16 +65,16 @@ AREAS = {
         "hil/test_mcap_file hil/study/test_export hil/test_log* hil/test_salvage* hil/test_record",
     ),
 }
-"""Name -> globs of its sources, and of its tests below `tests`; without their ending."""
+"""Name of an area -> patterns of its sources, and of its tests below `tests`, without `.py`."""
 
 
 def sources_of(area: str) -> list[str]:
-    """Find the sources of an area, sorted by name."""
+    """Source files of an area, sorted by name."""
     return sorted(set(_matching(AREAS[area][0].split())))
 
 
 def tests_of(area: str) -> list[str]:
-    """Find the test files of an area, each once, in the order of the table."""
+    """Test files of an area, each once, in the order of the table AREAS."""
     found = _matching(f"tests/{name}" for name in AREAS[area][1].split())
     return [file for file in dict.fromkeys(found) if file not in WHOLE]
 

@@ -1,4 +1,4 @@
-"""The mutants of a source: each is one change of its text, at a place identified by text."""
+"""Mutants of a source file: each is one change of its text, a plausible programming mistake."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from tools.mutants.operators import changes
 
 PLACE = ("file", "where", "statement", "before", "after")
-"""Fields that identify a change even when lines move."""
+"""Fields that identify a change even after lines have moved."""
 _ATOMS = (ast.Constant, ast.Name, ast.Call, ast.Attribute, ast.Subscript, ast.stmt)
 
 
@@ -38,23 +38,23 @@ class Mutant:
         return f"{self.file}:{self.line} {self.where}: {change}"
 
     def applied(self, text: str) -> str:
-        """Apply the change to the source."""
+        """Source text with this change."""
         return text[: self.start] + self.after + text[self.end :]
 
     @property
     def place(self) -> tuple[str, ...]:
-        """Values of the fields PLACE."""
+        """Values of the fields in PLACE, which identify this change in other versions of the source."""
         return tuple(vars(self)[name] for name in PLACE)
 
 
 def equivalents() -> set[tuple[str, ...]]:
-    """Places of changes that no test can detect; the list gives the reason for each."""
+    """Places of changes that no test can detect; equivalent.json gives the reason for each."""
     listed = json.loads(Path(__file__).with_name("equivalent.json").read_text(encoding="utf-8"))
     return {tuple(each[name] for name in PLACE) for each in listed}
 
 
 def mutants(file: str, text: str) -> Iterator[Mutant]:
-    """Yield every mutant of a source that parses: not of docstrings, messages, annotations, decorators."""
+    """Yield every mutant of a source text; docstrings, messages, annotations and decorators stay."""
     return _Walk(file, text).body(ast.parse(text))
 
 
@@ -68,7 +68,7 @@ class _Walk:
         self.statement = ""
 
     def body(self, node: ast.AST) -> Iterator[Mutant]:
-        """Yield the mutants below a node; its children are visited in the order of the source."""
+        """Yield the mutants of all syntax nodes below a node, in the order of the source."""
         for child in ast.iter_child_nodes(node):
             yield from self.visit(child)
 
@@ -125,6 +125,6 @@ class _Walk:
             )
 
     def offset(self, line: int, column: int) -> int:
-        """Index of a place in the text; the tree counts columns in bytes of UTF-8."""
+        """Character index of a place in the text; `ast` counts columns in bytes of UTF-8."""
         before = sum(map(len, self.lines[: line - 1]))
         return before + len(self.lines[line - 1].encode()[:column].decode())

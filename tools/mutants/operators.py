@@ -19,7 +19,7 @@ COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
     ast.In: (ast.NotIn,),
     ast.NotIn: (ast.In,),
 }
-"""The boundary moved, then the direction reversed."""
+"""Comparison -> the one with moved boundary, and the one with reversed direction."""
 OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,
@@ -36,7 +36,7 @@ CALLS = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "max
 UNITS = {10.0**k for k in (-9, -6, -3, 3, 6, 9)}
 """Constants that convert a unit."""
 _SYMMETRIC = {"isinstance", "issubclass", "hypot", "dot", "array_equal", "isclose", *CALLS}
-"""Calls whose first two arguments commute, or whose exchange is a type error."""
+"""Functions whose first two arguments commute, or cannot be exchanged without a type error."""
 _DELETED = (ast.AugAssign, ast.Raise, ast.Continue, ast.Break)
 
 Change = tuple[str, ast.AST]
@@ -77,7 +77,7 @@ def changes(node: ast.AST) -> Iterator[Change]:
 
 
 def _with(node: ast.AST, **fields: Any) -> ast.AST:
-    """Copy a node with other fields."""
+    """Copy of a syntax node in which the given fields have other values."""
     changed = copy.copy(node)
     for name, value in fields.items():
         setattr(changed, name, value)
@@ -85,7 +85,7 @@ def _with(node: ast.AST, **fields: Any) -> ast.AST:
 
 
 def _text(node: ast.AST) -> bool:
-    """Check if an operator joins or formats text."""
+    """True if an operator joins or formats text."""
     return any(
         isinstance(part, ast.JoinedStr) or (isinstance(part, ast.Constant) and isinstance(part.value, str))
         for part in ast.iter_child_nodes(node)
@@ -138,7 +138,7 @@ def _returns(value: ast.expr) -> Iterator[Change]:
 
 
 def _is_effect(node: ast.AST) -> bool:
-    """Check if a statement can be deleted without leaving a name undefined."""
+    """True if a statement can be deleted without leaving a name undefined."""
     match node:
         case ast.Expr(value=ast.Call()):
             return True

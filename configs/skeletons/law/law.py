@@ -1,4 +1,4 @@
-"""Stiffness and damping of the platform, and its weight: tau = J^-T (K e + D (twist_d - twist) + G)."""
+"""A law of stiffness, damping and weight compensation: tau = J^-T (K e + D (twist_d - twist) + G)."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ class SoftLaw:
         self.K, self.D, self.model = K, D, model
 
     def reset(self):
-        """Nothing is accumulated."""
+        """Do nothing: this law accumulates nothing."""
 
     def effort(self, tick):
         e = np.linalg.solve(tick["J"], tick["q_d"] - tick["q"])

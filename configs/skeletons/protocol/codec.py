@@ -1,4 +1,4 @@
-"""Controller's end: eight bytes to a drive, its answer in six or seven."""
+"""Controller's end of the protocol: commands of eight bytes, answers of six or seven."""
 
 from functools import cached_property
 from math import pi
@@ -23,7 +23,7 @@ NOTHING = bytes.fromhex("7fff 7ff0 0000 0000")
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Read a command of another controller, or an answer: node, position, velocity, torque."""
+    """Read an answer (node, position, velocity, torque), or notice a command of another controller."""
     if frame.flags & STRANGE:
         return 0
     to = place_of(int(frame.id), ear.nodes)
@@ -44,13 +44,13 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
 
 
 class CheetahProtocol(MotorProtocol):
-    """Six motors with the same ranges."""
+    """Controller's end for six motors with equal ranges of position, velocity and torque."""
 
     ear = hear
     number_at = 0, ANY
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
-        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
+        """Check sections `bus` and `drives`. Raises ConfigurationError for what these drives cannot do."""
         options = Options(bus, drives, "cheetah", "classic", ("position_rad", "velocity_rad_s", "torque_N_m"))
         torque = options.positive("torque_N_m", 18.0)
         super().__init__(options.transmission, drives.node_ids, (6, 12, torque), bus.legs)
@@ -68,7 +68,7 @@ class CheetahProtocol(MotorProtocol):
 
     @cached_property
     def traits(self) -> Traits:
-        """Those of drives that answer each command and report neither power nor fault."""
+        """Properties of these drives: they answer each command, and report neither power nor fault."""
         t, fields = self.transmission, (("position", 16), ("velocity", 12), ("torque", 12))
         steps = [2.0 * float(self.tables[name]) / ((1 << bits) - 1) for name, bits in fields]
         length, rate = (t.rate(np.full(LEGS, step / TURN)) for step in steps[:2])

@@ -1,4 +1,4 @@
-"""The drives' end, for simulations and tests."""
+"""Drives' end of the protocol: emulated drives for simulations and tests."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from plant_fmu.drives import motors as drives
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Take a command; every one is answered."""
+    """Execute a command frame; the drive answers every command."""
     if frame.flags & STRANGE:
         return 0
     if frame.length != 8:
@@ -32,7 +32,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in an answer. A lost encoder reads the lower end of its range."""
+    """Fill the frame of an answer; a lost encoder reports the lower end of the position range."""
     ear, data = drives.ear_at(d.ear), frame.data
     begin_sent(frame, c.ANSWER_ID, 6, 0, d.bus_of[said.leg])
     position = -ear.position if said.lost else said.turns * c.TURN
@@ -45,6 +45,6 @@ def encode(d: Any, said: Any, frame: Any) -> int:
 
 
 class CheetahDrives(drives.MotorDrives):
-    """Six motors."""
+    """Drives' end for six motors."""
 
     obey, encode = obey, encode

@@ -1,1 +1,1 @@
-"""Stability proofs of a loop: error dynamics, ultimate bounds, energy, reaching, the sampled loop."""
+"""Stability of the control loop: error dynamics, ultimate bounds, energy, reaching, the sampled loop."""

@@ -28,9 +28,9 @@ _APART_s, _NARROW_s = 4e-3, 1e-5
 _BENT = 2e-4
 """Allowed deviation from linear interpolation between two instants, as a share of the forces' range."""
 _FORGOTTEN = 37.0
-"""Time constants after which the memory of a lag is below rounding."""
+"""Number of time constants after which the response of a lag is below rounding."""
 _BLOCK_s = 10.0
-"""Length of the parts in which a reference is evaluated."""
+"""Length, s, of the parts into which the evaluation of a reference is divided."""
 _PARTS = 8
 """Number of points per period over which a disturbance is averaged."""
 _SURVEYED, _STRETCH_s, _STRETCHES = 5000, 4.0, 12
@@ -38,16 +38,16 @@ _SURVEYED, _STRETCH_s, _STRETCHES = 5000, 4.0, 12
 LONG_s = 120.0
 """Longest reference that is evaluated as a whole."""
 _PHASES = (0.0, 0.25, 0.5, 0.75)
-"""Delays of the measurements behind the reference's beginning, in periods."""
+"""Times, in periods, by which the first measurement comes after the reference's beginning."""
 
 
 class DelayEffect(NamedTuple):
     """Error of each axis along a reference caused by delay, from a start without error."""
 
     error: Array
-    """(6,) m or rad, largest."""
+    """(6,) m or rad, largest error of each axis."""
     rate: Array
-    """(6,) m/s or rad/s, largest."""
+    """(6,) m/s or rad/s, largest error of the rate of each axis."""
     effort: Array
     """(6,) m/s^2 or rad/s^2, largest of u."""
     stale_s: float
@@ -55,12 +55,12 @@ class DelayEffect(NamedTuple):
 
     @staticmethod
     def none(stale_s: float = 0.0) -> "DelayEffect":
-        """Zero error, for a reference at rest."""
+        """Effect without error, for a reference at rest; stale_s as in the class."""
         return DelayEffect(np.zeros(6), np.zeros(6), np.zeros(6), stale_s)
 
 
 def stale_s(axis: Axis, ahead_s: float) -> float:
-    """Largest time difference, s, between a force's computed state and the state on which it acts."""
+    """Largest time difference, s, from the state for which a force is computed to that on which it acts."""
     youngest = axis.transport_s - ahead_s
     return max(abs(youngest), abs(youngest + axis.period_s + axis.lag_s))
 
@@ -139,7 +139,7 @@ def _disturbances(
     axis: Axis,
     ahead_s: float,
 ) -> Array:
-    """Mean disturbance (phases, n, 6) over each of these periods, the first before `begin_s`."""
+    """Mean disturbance (phases, n, 6) of the axes over each of n periods, the first before `begin_s`."""
     T = axis.period_s
     before = int(np.ceil(20.0 * axis.lag_s / T))  # what the lag remembers
     first, last = periods
@@ -199,7 +199,7 @@ def _between(t: Array, times: Array, values: Array) -> Array:
 
 
 def _lagged(x: Array, lag_s: float, step_s: float) -> Array:
-    """Response of a first-order lag to x (n, 6), from a steady state, in the middle of each step."""
+    """Response of a first-order lag to x (n, 6), from a steady state, at the middle of each step."""
     if lag_s == 0.0:
         return x
     keep = float(np.exp(-step_s / lag_s))

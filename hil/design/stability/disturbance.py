@@ -1,7 +1,7 @@
-"""Model error of a linearising law, as accelerations of the axes whose error it controls.
+"""Model error of a linearising law, as accelerations of the axes that the law controls.
 
 The law requests an acceleration a* = a_d + u of its axes (the legs, or the pose). At one state of the robot
-its forces are affine in a*, and the axes accelerate by Gamma u + a_d + d. So the error obeys
+its forces are affine in a*, and the axes accelerate by Gamma u + a_d + d. The error therefore obeys
 
 ::
 
@@ -48,23 +48,23 @@ class Load(NamedTuple):
 
     force_N: float = 0.0
     torque_N_m: float = 0.0
-    """About the platform's origin."""
+    """Torque about the platform's origin."""
 
 
 class Friction(NamedTuple):
     """Bound on the error of the law's friction model, per leg."""
 
     viscous_N_s_m: Array
-    """(6,)."""
+    """(6,) N s/m, error of viscous friction."""
     coulomb_N: Array
-    """(6,)."""
+    """(6,) N, error of Coulomb friction."""
 
 
 class Local(NamedTuple):
-    """The loop of a linearising law at n states."""
+    """Properties of the loop of a linearising law at n states of the robot."""
 
     Gamma: Array
-    """(n, 6, 6)."""
+    """(n, 6, 6), derivative of the axes' accelerations by the requested ones; I for an exact model."""
     stale: Array
     """(n, 6, 6), Gamma of delayed forces, computed for an earlier state of the reference."""
     per_force: Array
@@ -77,7 +77,7 @@ class Local(NamedTuple):
     by_error: Array
     """(n, 6, 6) 1/s^2, change of the axes' accelerations per error at constant forces."""
     by_rate: Array
-    """(n, 6, 6) 1/s, change per rate error at constant forces."""
+    """(n, 6, 6) 1/s, change of the axes' accelerations per rate error at constant forces."""
     condition: Array
     """(n,), condition number of J with lengths scaled; inf where J is singular."""
     tau: Array
@@ -85,18 +85,18 @@ class Local(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """Bounds over many states."""
+    """Bounds on a loop over many states of the robot."""
 
     d: Array
-    """(6,), largest |d|."""
+    """(6,) m/s^2 or rad/s^2, largest |d| of each axis."""
     gamma: float
     """Mean of the smallest and largest diagonal element of Gamma."""
     spread: Array
-    """(6, 6), largest |Gamma - gamma I| of delayed forces."""
+    """(6, 6), largest |Gamma - gamma I|, Gamma of delayed forces."""
     by_error: Array
     """(6, 6) 1/s^2, largest change of the axes' accelerations per error at constant forces."""
     by_rate: Array
-    """(6, 6) 1/s, largest change per rate error at constant forces."""
+    """(6, 6) 1/s, largest change of the axes' accelerations per rate error at constant forces."""
     condition: float
     """Largest condition number of J."""
 
@@ -132,7 +132,7 @@ class Inertia(NamedTuple):
 
     @classmethod
     def of(cls, Gamma: Array) -> Self:
-        """Bounds over all matrices Gamma (n, 6, 6)."""
+        """Bounds over n states, from their matrices Gamma (n, 6, 6)."""
         off = Gamma - _UNIT
         diagonal = np.diagonal(Gamma, axis1=1, axis2=2)
         values = np.linalg.eigvals(Gamma).real
@@ -147,7 +147,7 @@ class Inertia(NamedTuple):
 
 @kernel(VECTOR, MATRIX, MATRIX, MATRIX)
 def robot_kernel(c: Array, p: Array, turns: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
-    """J, M (n, 6, 6), H + G and (dJ/dt) twist (n, 6) at p (n, 3), R (3 n, 3) and twist (n, 6)."""
+    """J, M (n, 6, 6), H + G and (dJ/dt) twist (n, 6) at n states: p (n, 3), R (3 n, 3), twist (n, 6)."""
     n, still = len(p), np.zeros(6)
     J, M, bias, curve = np.empty((n, 6, 6)), np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((n, 6))
     for k in range(n):
@@ -192,7 +192,7 @@ class _Robot(NamedTuple):
         return _times(self.J, dtwist) + self.curve if self.joint else dtwist
 
     def answer(self, tau: Array) -> Array:
-        """Accelerations (n, 6) of the axes under forces (n, 6) N without load."""
+        """Accelerations (n, 6) of the controlled axes under leg forces tau (n, 6) N without external load."""
         return self.of_axes(_solved(self.M, _times(self.J.transpose(0, 2, 1), tau) - self.bias))
 
 
@@ -210,12 +210,12 @@ def _displaced(p: Array, R: Array, x: Array) -> tuple[Array, Array]:
 
 
 class Linearised:
-    """A robot under a law that linearises it with a model. No mutable state."""
+    """A robot and a control law that linearises it with a model of its own. No mutable state."""
 
     def __init__(
         self, robot: Model, believed: Model, axes: Literal["joint", "pose"], load: Load, friction: Friction
     ) -> None:
-        """Both models are without friction; `friction` bounds its error."""
+        """Both models must be without friction; `friction` bounds the error of the law's friction model."""
         self.robot = robot
         self.believed = believed
         self.axes = axes
@@ -285,7 +285,7 @@ class Linearised:
         )
 
     def _extremes(self, mobility: Array, error: Array) -> tuple[Array, Array]:
-        """Largest |d| (n, 6) of each axis by load and error, and d of all axes in these cases (n, 12, 6)."""
+        """Largest |d| (n, 6) of each axis under load and error, and d of all axes then, (n, 12, 6)."""
         halves = mobility.reshape(-1, 6, 2, 3)  # by a force, by a torque
         size = np.linalg.norm(halves, axis=3, keepdims=True)
         most = np.array([[self.load.force_N], [self.load.torque_N_m]])
@@ -324,14 +324,14 @@ class Linearised:
         return tau, np.asarray(robot.J @ per_force if self._joint else per_force, float)
 
     def around(self, path: Sequence[PoseSample], errors: Array, rates: Array, stale_s: float = 0.0) -> Local:
-        """Loop at each sample for each of the errors (m, 6), with plus and minus its rate (m, 6)."""
+        """Properties of the loop at each sample for each error (m, 6), with plus and minus its rate."""
         e, de = np.vstack([errors, errors]), np.vstack([-rates, rates])
         all_samples = [s for s in path for _ in e]
         return self.at(all_samples, np.tile(e, (len(path), 1)), np.tile(de, (len(path), 1)), stale_s)
 
 
 def _stacked(path: Sequence[PoseSample]) -> PoseSample:
-    """Stack samples into one sample with arrays (n, ...)."""
+    """Samples (n) as one sample whose arrays have the shapes (n, ...)."""
     return PoseSample(*(np.array(part, float) for part in zip(*path, strict=True)))
 
 
@@ -339,17 +339,17 @@ class Drives(NamedTuple):
     """Quantisation and losses of six drives, each array (6,)."""
 
     length: Array
-    """m, largest error of a measured length: resolution of drive and encoder, and age."""
+    """m, largest error of a measured length: by the resolution of drive and encoder, and by its age."""
     rate: Array
     """m/s, largest error of a measured rate."""
     force: Array
-    """N at the leg, resolution of the force command."""
+    """N at the leg, resolution of the force commands."""
     loss: Array
-    """rho, largest relative error of the loss compensation of a force."""
+    """(6,), largest relative error of the compensation of transmission losses in a force."""
 
     @property
     def stepped(self) -> bool:
-        """True if a measured or commanded value is quantised."""
+        """True if the drives quantise a measured length or rate, or the commanded force."""
         return bool(np.any([self.length, self.rate, self.force]))
 
     def disturb(self, found: Local) -> tuple[Array, Array]:

@@ -26,18 +26,18 @@ class Certificate(NamedTuple):
         dV/dt <= -2 alpha (V - d^2)
 
     Without disturbance V decays as exp(-2 alpha t), x as exp(-alpha t). Under |d| <= d_max V decreases
-    wherever it is above d_max^2: a state below stays below, every other state gets there. V is in (m/s^2)^2
+    wherever it is above d_max^2: states below stay below, all others come below. V is in (m/s^2)^2
     or (rad/s^2)^2. If V does not decrease, the disturbance of the axis is at least sqrt(V).
     """
 
     K_P: Array
-    """(6,) 1/s^2."""
+    """(6,) 1/s^2, gain of the error of each axis."""
     K_D: Array
-    """(6,) 1/s."""
+    """(6,) 1/s, gain of the rate error of each axis."""
     alpha: Array
-    """(6,) 1/s."""
+    """(6,) 1/s, guaranteed decay rate of x on each axis."""
     P: Array
-    """(6, 2, 2), symmetric, positive definite."""
+    """(6, 2, 2), matrix of V = x^T P x on each axis: symmetric, positive definite."""
 
 
 def certificate(K_P: ArrayLike, K_D: ArrayLike) -> Certificate:

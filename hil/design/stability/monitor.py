@@ -1,4 +1,4 @@
-"""Build the certificate monitor of a control law: which laws have a certificate, and its constants."""
+"""Run-time monitor of a law's Lyapunov function: which laws have one, and the monitor's constants."""
 
 from collections.abc import Iterator
 from math import ceil, isinf
@@ -23,7 +23,7 @@ LAGS = 3.0
 
 
 def certified(controller: LawSettings) -> ErrorDynamics | str:
-    """Error dynamics with a Lyapunov function of constant gains, or the reason why there are none."""
+    """Error dynamics that have a Lyapunov function with constant gains, or the reason why there are none."""
     dynamics = controller.error_dynamics()
     if isinstance(dynamics, ErrorDynamics) and isinf(dynamics.steepness):
         return "without a boundary layer it switches: its gains are infinite"
@@ -33,7 +33,7 @@ def certified(controller: LawSettings) -> ErrorDynamics | str:
 def certified_law(
     monitor: MonitorSettings, controller: ControllerSettings, _: object
 ) -> Iterator[tuple[tuple[str, str], str]]:
-    """Reject a monitor action other than log for a law without a certificate."""
+    """Yield an error for a monitor action other than log if the law has no Lyapunov function."""
     reason = certified(controller)
     if monitor.action != "log" and isinstance(reason, str):
         message = f"law {controller.law} has no certificate: {reason}, allowed: log, given: {monitor.action}"
@@ -49,7 +49,7 @@ def build_watch(
     transport_ticks: int = 1,
     lag_s: float = 0.0,
 ) -> Watch:
-    """Build the constants of `hil.safety.certificate`; NO_WATCH for a law without a certificate.
+    """Constants of the monitor `hil.safety.certificate`; NO_WATCH for a law without Lyapunov function.
 
     home: p (3,) m and R (3, 3), the pose at which leg noise is converted to pose noise.
     transport_ticks: from a measurement to the force computed from it. lag_s: of the drives' force loop, if

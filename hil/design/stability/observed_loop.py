@@ -20,7 +20,7 @@ from hil.robot.force_path import ForcePath
 
 
 class Observer(NamedTuple):
-    """Bandwidth of the observer, and its path from command to force."""
+    """Bandwidth of the wrench observer, and delay and lag that it assumes from command to force."""
 
     bandwidth_Hz: float
     transport_s: float
@@ -28,7 +28,7 @@ class Observer(NamedTuple):
 
 
 def observed(controller: LinearSystem, observer: Observer, mass: Array | None = None) -> LinearSystem:
-    """System from [e, de, c] to u of a controller from [e, de], or from [e, de, r] if it uses r itself.
+    """Controller with its observer as a system from [e, de, c] to u; the controller is from [e, de (, r)].
 
     r (m,): estimated force. c (m,): force that only the observer sees, as the known part of a disturbance.
     mass (m, m): mass matrix of m coupled axes; default: one axis, u is an acceleration.

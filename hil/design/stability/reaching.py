@@ -17,23 +17,22 @@ from typing import NamedTuple
 
 
 class Reaching(NamedTuple):
-    """Proven reaching of a law with a boundary layer."""
+    """Proven bounds on how a law with a boundary layer reaches the layer and stays in it."""
 
     surplus: float
     """m/s^2, smallest rate at which s approaches the layer while leg errors are small; <= 0: not
     guaranteed."""
     room: float
-    """Largest leg error that still leaves half of `surplus`: any |de| in m/s (sliding mode), the norm of e in
-    m (redesign); inf: any error leaves all of it.
-    """
+    """Largest leg error at which s approaches the layer with half of `surplus`: any |de| in m/s (sliding
+    mode), the norm of e in m (redesign); inf: no error reduces `surplus`."""
     inside: float
-    """m/s, largest |s| once inside the layer."""
+    """m/s, largest |s| after s has entered the layer."""
     layer: float
-    """m/s."""
+    """m/s, boundary layer of the law."""
 
     @property
     def covered(self) -> bool:
-        """True if s reaches the layer and never leaves it."""
+        """True if the sliding variable s is proven to reach the layer and never leave it."""
         return self.surplus > 0.0 and self.inside <= self.layer
 
     def time_s(self, s: float) -> float:

@@ -1,10 +1,10 @@
 """The loop with sampling, hold and delay: axis, controllers, eigenvalues, margins and peak gains.
 
 The axis is gain exp(-transport s) D(s) / s^2 behind a hold of one period, D the force loop of the drives,
-from requested acceleration to position and rate at the instants of measurement. It is a linearised robot seen
-through bus, drives and sampling; the transport may be a fraction of a period. The controller computes u from
-y = [e, de], and the loop is closed by e = -position. Its eigenvalues decide exactly, with all delays, whether
-the sampled loop is stable.
+from requested acceleration to position and rate at the instants of measurement. The axis is a linearised
+robot seen through bus, drives and sampling; the transport may be a fraction of a period. The controller
+computes u from y = [e, de], and the loop is closed by e = -position. The eigenvalues of the loop decide
+exactly, with all delays, whether the sampled loop is stable.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,15 +22,15 @@ SLOWEST = 1e-5
 
 
 class Axis(NamedTuple):
-    """One axis of a linearised loop."""
+    """One axis of a linearised loop: sampling period, delay, drive lag and gain."""
 
     period_s: float
     transport_s: float = 0.0
     """Pure delay from the instant of measurement to the force computed from it."""
     lag_s: float = 0.0
-    """Time constant of the force, first order; 0: no lag."""
+    """Time constant, s, of the drives' force, first order; 0: no lag."""
     gain: float = 1.0
-    """1 for an exact model."""
+    """Acceleration of the axis over the requested one; 1 for an exact model."""
 
 
 def sampled_axis(
@@ -40,7 +40,7 @@ def sampled_axis(
     gain: float | Array = 1.0,
     stiffness: Array | None = None,
 ) -> LinearSystem:
-    """Axes at the samples: from held accelerations to positions and rates, their first states.
+    """Sampled axes: a system from held accelerations to positions and rates, its first states.
 
     `drive` is the continuous force loop of each axis: `hil.mathematics.linear_system.lag`, or of higher
     order. gain: of one axis, or (m, m): accelerations of m axes per force of each. The axes may then have a
@@ -78,7 +78,7 @@ def sampled_axis(
 
 
 def disturbed(axis: LinearSystem) -> LinearSystem:
-    """Add a second input to a `sampled_axis`: an acceleration, held, without delay."""
+    """`sampled_axis` with a second input: a disturbing acceleration, held for a period, without delay."""
     T = axis.period_s
     assert T is not None
     push = np.zeros((axis.order, 1))
@@ -87,7 +87,7 @@ def disturbed(axis: LinearSystem) -> LinearSystem:
 
 
 def disturbed_axis(axis: Axis) -> LinearSystem:
-    """Axis from u[k] and a disturbing acceleration d[k], both held, to position and rate."""
+    """Sampled axis from u[k] and a disturbing acceleration d[k], both held, to position and rate."""
     return disturbed(sampled_axis(axis.transport_s, lag(axis.lag_s), axis.period_s, axis.gain))
 
 
@@ -148,7 +148,7 @@ def predicting(
 
 
 def sampled_controller(controller: LinearController) -> LinearSystem:
-    """System from [e, de] to u of a controller file."""
+    """System from [e, de] to u of the linear controller in a file."""
     chosen = np.eye(2)[[("error", "rate_error").index(name) for name in controller.inputs]]
     n, m = len(controller.A), len(controller.inputs)
     B = np.array(controller.B, float).reshape(n, m) @ chosen
@@ -160,22 +160,22 @@ class Margins(NamedTuple):
     """Stability margins of a stable loop, each for one change at a time; inf: unlimited."""
 
     gain_up: float
-    """Largest factor on the gain."""
+    """Largest factor on the loop gain that keeps the loop stable."""
     gain_down: float
-    """Smallest factor on the gain; 0: no lower limit."""
+    """Smallest factor on the loop gain that keeps the loop stable; 0: no lower limit."""
     phase_deg: float
     delay_s: float
-    """Largest additional pure delay."""
+    """Largest additional pure delay, s, that keeps the loop stable."""
     crossover_rad_s: float
     """The highest frequency at which the loop's gain is 1; 0: none."""
     peak_S: float
     """Peak of |1 / (1 + L)|, the inverse of the smallest distance between L and -1."""
     peak_T: float
-    """Peak of |L / (1 + L)|."""
+    """Peak of |L / (1 + L)| over frequency."""
 
 
 def grid(period_s: float) -> Array:
-    """Frequencies up to the Nyquist frequency, rad/s: logarithmic, with a linear grid in addition."""
+    """Frequencies, rad/s, up to the Nyquist frequency: about 4000, logarithmic and linear together."""
     top = pi / period_s
     return np.unique(
         np.concatenate([np.geomspace(SLOWEST * top, top, 2500), np.linspace(1e-3 * top, top, 1500)])
@@ -183,7 +183,7 @@ def grid(period_s: float) -> Array:
 
 
 def root(f: Callable[[float], float], low: float, high: float) -> float:
-    """Zero of a function with different signs at the ends of an interval, by bisection."""
+    """Zero of a continuous function with different signs at `low` and `high`, by bisection."""
     begins = f(low) > 0.0
     while low < (middle := 0.5 * (low + high)) < high:
         low, high = (middle, high) if (f(middle) > 0.0) == begins else (low, middle)
@@ -191,7 +191,7 @@ def root(f: Callable[[float], float], low: float, high: float) -> float:
 
 
 def crossings(loci: Callable[[Array], ComplexArray], omega: Array) -> Iterator[tuple[float, float]]:
-    """Yield each frequency, rad/s, at which a locus (n, k) has magnitude 1, and its angle from -1."""
+    """Yield each frequency, rad/s, at which a locus (n, k) has magnitude 1, and its angle, rad, from -1."""
     size = np.abs(loci(omega))
     for i, k in np.argwhere(np.diff(np.sign(size - 1.0), axis=0) != 0):
 
@@ -203,7 +203,7 @@ def crossings(loci: Callable[[Array], ComplexArray], omega: Array) -> Iterator[t
 
 
 def margins(loop: LinearSystem) -> Margins:
-    """Margins of a stable sampled loop L, one input and one output; 1 + L(z) = 0 is its limit."""
+    """Margins of a stable sampled loop L with one input and one output; 1 + L(z) = 0 is the limit."""
     assert loop.period_s is not None
 
     def L(omega: Array) -> ComplexArray:
@@ -230,12 +230,12 @@ def margins(loop: LinearSystem) -> Margins:
 
 
 class Sampled(NamedTuple):
-    """A sampled loop."""
+    """Analysis of a sampled loop: poles, margins, and responses to disturbances."""
 
     poles: ComplexArray
-    """(n,), in z."""
+    """(n,) poles of the closed loop, in z."""
     margins: Margins | None
-    """None if the loop is not stable."""
+    """Stability margins; None if the loop is not stable."""
     loop: LinearSystem
     """System to e, de and u from a disturbing acceleration, held over each period, from measurement errors of
     e and de at each sample, and, with an observer, from an acceleration that only the observer sees.
@@ -243,7 +243,7 @@ class Sampled(NamedTuple):
 
     @property
     def largest(self) -> float:
-        """The largest |z|."""
+        """Largest magnitude |z| of the poles; the loop is stable if it is below 1."""
         return float(np.abs(self.poles).max())
 
     @property
@@ -254,7 +254,7 @@ class Sampled(NamedTuple):
 
     @property
     def stable(self) -> bool:
-        """True if all modes decay."""
+        """True if all poles z lie inside the unit circle."""
         return bool((np.abs(self.poles) < 1.0).all())
 
     def peak_gains(self, slope: float = 0.0) -> Array:
@@ -277,11 +277,11 @@ class Sampled(NamedTuple):
         return np.asarray(T * area.sum(axis=0), float)
 
     def impulse_responses(self) -> Array:
-        """Responses of e, de and u (n, 3) at the samples to d = 1 for one period."""
+        """Responses of e, de and u (n, 3) at the samples to a disturbance d = 1 for one period."""
         return np.asarray(self._answers(self.loop.B[:, :1])[..., 0], float)
 
     def seen_responses(self) -> Array:
-        """Responses of e, de and u (n, 3) at the samples to 1 that only the observer sees for one period."""
+        """Responses of e, de, u (n, 3) to a unit pulse of one period that the observer alone sees."""
         if self.loop.B.shape[1] < 4:
             return np.zeros((1, 3))
         return np.concatenate([self.loop.D[None, :, 3], self._answers(self.loop.B[:, 3:])[..., 0]])
@@ -297,7 +297,7 @@ class Sampled(NamedTuple):
         return np.asarray(np.abs(h[..., 0]).sum(axis=0), float)
 
     def _answers(self, x: Array) -> Array:
-        """Responses of e, de and u (n, 3, m) at the samples to initial states x (order, m), until decayed."""
+        """Responses of e, de and u (n, 3, m) at n samples to initial states x (order, m), until decayed."""
         found = []
         for _ in range(self.steps):
             found.append(self.loop.C @ x)
@@ -312,12 +312,12 @@ class Sampled(NamedTuple):
 
 
 def _rows(slope: float) -> Array:
-    """Matrix from e, de, u to e, de, u, de + slope e."""
+    """Matrix (4, 3) from [e, de, u] to [e, de, u, de + slope e]."""
     return np.vstack([np.eye(3), [slope, 1.0, 0.0]])
 
 
 def of_each(loops: Sequence[Sampled], figures: Callable[[Sampled], Array]) -> list[Array]:
-    """Figures of each loop, computed once for axes that share a loop."""
+    """Result of `figures` for each loop, computed once for axes that share a loop."""
     found = {id(loop): figures(loop) for loop in {id(loop): loop for loop in loops}.values()}
     return [found[id(loop)] for loop in loops]
 
@@ -339,7 +339,7 @@ def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
 
 
 def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
-    """Loop from d, n, m and the observer's c to e, de and u: y = [e + n, de + m, c], e = -position."""
+    """Closed loop from disturbance d, noise n, m and observed c to e, de, u; y = [e + n, de + m, c]."""
     A, B, C, _, T = plant
     count = controller.B.shape[1]  # 2, or 3 with an observer
     # Inputs d, n, m, c, u; outputs e, de, u, and y for the controller.

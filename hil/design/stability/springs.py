@@ -45,22 +45,22 @@ NOTHING = np.zeros((6, 6))
 
 
 class Springs(NamedTuple):
-    """Law and robot linearised at a pose of rest, in shifts and turns of the base frame, (6, 6) each."""
+    """Law and robot, linearised at a pose of rest: (6, 6) each, shifts in m and turns in rad, base frame."""
 
     mobility: Array
-    """Acceleration per force, M^-1."""
+    """Acceleration of the platform per force, M^-1."""
     law: Array
     """Stiffness of the law, which acts on the measured pose."""
     damping: Array
     own: Array = NOTHING
     """Stiffness of the robot under constant leg forces, which acts without delay."""
     integral: Array = NOTHING
-    """K_I, rate of the law's force per s."""
+    """K_I: rate of the law's force per position error and second."""
     observer: Observer | None = None
-    """Observer of the wrench that the law compensates."""
+    """Observer of the wrench, if the law compensates its estimate."""
 
     def slowest(self) -> float:
-        """Largest real part of the eigenvalues, 1/s, without sampling and delay."""
+        """Largest real part, 1/s, of the eigenvalues without sampling and delay; below 0: stable."""
         unit, B = np.eye(6), self.mobility
         rows = [[NOTHING, unit, NOTHING], [-B @ (self.law + self.own), -B @ self.damping, B]]
         A = np.block([*rows, [-self.integral, NOTHING, NOTHING]])
@@ -73,7 +73,7 @@ class Springs(NamedTuple):
         return np.asarray(np.linalg.eigvalsh(0.5 * (K + K.T)), float)
 
     def loop(self, axis: Axis) -> tuple[LinearSystem, LinearSystem]:
-        """Law from [e; de] to forces, its integral by Euler's rule, and the robot to [x; x']."""
+        """Sampled law from [e; de] to forces, its integral by Euler's rule; sampled robot, to [x; x']."""
         T, unit = axis.period_s, np.eye(6)
         rise = np.hstack([T * self.integral, NOTHING])
         D = np.hstack([self.law, self.damping]) + rise
@@ -85,7 +85,7 @@ class Springs(NamedTuple):
         return law, sampled_axis(axis.transport_s, lag(axis.lag_s), T, axis.gain * self.mobility, self.own)
 
     def growth(self, axis: Axis) -> float:
-        """Largest |z| of the loop; below 1 it is stable."""
+        """Largest pole magnitude |z| of the sampled loop; below 1 the loop is stable."""
         law, robot = self.loop(axis)
         return float(np.abs(robot._replace(C=-robot.C).closed_with(law).poles()).max())
 
@@ -104,7 +104,7 @@ class Springs(NamedTuple):
             return None
 
         def loci(omega: Array) -> ComplexArray:
-            """Eigenvalues (n, 6), the largest first."""
+            """Eigenvalues (n, 6) of the open loop at n frequencies, the largest magnitude first."""
             values = np.linalg.eigvals(law.response(omega) @ robot.response(omega))
             order = np.argsort(-np.abs(values), axis=1)
             return np.asarray(np.take_along_axis(values, order, axis=1), np.complex128)
@@ -145,7 +145,7 @@ def _slopes(of: Callable[[Array], Array]) -> Array:
 
 
 def _wrench(robot: Model, p: Array, R: Array, tau: Array) -> Array:
-    """Wrench (6,) N and N m of the leg forces minus the weight."""
+    """Wrench (6,) N, N m on the platform: leg forces tau (6,) N minus weight, base frame."""
     return _jacobian(robot, p, R).T @ tau - kernels.gravity_kernel(robot.constants, p, R)
 
 
@@ -154,7 +154,7 @@ def _jacobian(robot: Model, p: Array, R: Array) -> Array:
 
 
 def cubic_rest(x_d: Array, K_p: Array, linear: Array, cubic: Array) -> Array:
-    """Rest positions (6,) m of legs, k0 x + k1 x^3 = K_p (x_d - x), from their springs' rest."""
+    """Positions x (6,) m of legs on springs at rest: k0 x + k1 x^3 = K_p (x_d - x), 0: springs relaxed."""
     low, high = np.minimum(x_d, 0.0), np.maximum(x_d, 0.0)
     for _ in range(60):
         x = 0.5 * (low + high)
@@ -164,12 +164,12 @@ def cubic_rest(x_d: Array, K_p: Array, linear: Array, cubic: Array) -> Array:
 
 
 def same_weight(one: Model, other: Model) -> bool:
-    """Check that two models have the same weight in every pose."""
+    """True if two models have the same weight in every pose, to 1e-9."""
     return bool(np.allclose(_moments(one), _moments(other), rtol=1e-9, atol=1e-9))
 
 
 def _moments(model: Model) -> Array:
-    """Parameters of weight and its potential, apart from the pose, N and N m."""
+    """Parameters, N and N m, that determine the weight and its potential in every pose."""
     c = model.constants
     mass, cylinder, rod = c[kernels.MASS], c[kernels.CYLINDER_MASS], c[kernels.ROD_MASS]
     along = cylinder * c[kernels.CYLINDER_COM] - rod * c[kernels.ROD_COM]

@@ -27,7 +27,7 @@ from hil.design.stability.sampled_loop import Sampled, of_each
 from hil.trajectory.path import PoseSample
 
 ROUNDS = 12
-"""Largest number of enlargements of the tube."""
+"""Largest number of enlargements of the tube of states around the reference."""
 EXACT = 1e-9
 """Largest difference of Gamma from gamma I that counts as rounding."""
 ROUNDING = 1e-9
@@ -37,12 +37,12 @@ INSTANTS = 5
 SPREAD = 20
 """Number of instants of the reference that are evaluated where the disturbance is constant."""
 UNNOTICED = 0.01
-"""Share of the disturbance that does not change the shape of the tube."""
+"""Share of the disturbance by which parts may differ without changing the shape of the tube."""
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
 
 
 class Aged(NamedTuple):
-    """Feedback up to a time h old, extrapolated at its last rate: the rate is off by up to h |ddq|."""
+    """Effect of feedback up to h old, extrapolated at its last rate: its rate is wrong by up to h |ddq|."""
 
     fixed: Array
     """(6,) m/s or rad/s, rate error from the acceleration of the reference."""
@@ -53,20 +53,20 @@ class Aged(NamedTuple):
 
 
 class Extra(NamedTuple):
-    """Disturbances known by their size only, in addition to load and model error."""
+    """Disturbances of which only bounds are known, in addition to load and model error."""
 
     d: Array
-    """(6,) m/s^2 or rad/s^2, as stated: independent for each axis, at any time."""
+    """(6,) m/s^2 or rad/s^2, as stated in the request: independent for each axis, at any time."""
     pushed: Array
     """(6,) m/s^2 or rad/s^2, from pushes on single legs."""
     alpha: float
     """Share of the largest |u| that the robot may add to any axis: the norm of Gamma - I."""
     error: Array
-    """(6,) m or rad, from the resolution of the measurements, the last one included."""
+    """(6,) m or rad, error of each axis from the resolution of the measurements, the last one included."""
     rate: Array
-    """(6,) m/s or rad/s, from the same resolution."""
+    """(6,) m/s or rad/s, error of the rate of each axis from the resolution of the measurements."""
     effort: Array
-    """(6,) m/s^2 or rad/s^2 of u, from the same resolution."""
+    """(6,) m/s^2 or rad/s^2, change of u from the resolution of the measurements."""
     drives: Array
     """(6,) m/s^2 or rad/s^2, from the resolution of the force commands and from transmission losses."""
     lost: Array
@@ -76,7 +76,7 @@ class Extra(NamedTuple):
 
 
 class Ultimate(NamedTuple):
-    """The bound along a reference, of each axis."""
+    """Ultimate bound of each axis along a reference, and its parts."""
 
     gamma: float
     exact: bool
@@ -104,12 +104,12 @@ class Ultimate(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """The loops of the axes, and their bound."""
+    """Sampled loops of the axes, and their ultimate bound or the reason why there is none."""
 
     loops: list[Sampled]
     """Loop of each axis to which the bound applies."""
     every: list[Sampled]
-    """Different loops of the axes at both ends of the stated inertia range."""
+    """Loops of all axes at both ends of the stated inertia range, without repetitions."""
     bound: Ultimate | str
     inertia: Inertia = Inertia()
     bounds: tuple[tuple[list[Sampled], Ultimate], ...] = ()
@@ -119,7 +119,7 @@ class Judged(NamedTuple):
 
     @property
     def slowest(self) -> Sampled:
-        """The loop with the slowest decay, or the fastest growth."""
+        """Loop with the slowest decay, or the fastest growth, of all loops in `every`."""
         return min(self.every, key=lambda loop: loop.decay_rate)
 
 
@@ -133,7 +133,7 @@ def ultimate(
     *,
     condition: float,
 ) -> Ultimate | str:
-    """Bound along a path sampled in `path`, or the reason why there is none.
+    """Ultimate bound along the path sampled in `path`, or the reason, as text, why there is none.
 
     found_along: the robot at each sample. loops: of each axis, with the gain of their survey.
     condition: largest allowed condition number of J in the tube.
@@ -171,7 +171,7 @@ def ultimate(
 
 
 def _worst(d: Array) -> list[int]:
-    """Instants at which d (n, 6) of an axis is largest; for a constant d, some along the path."""
+    """Indices of instants at which d (n, 6) of an axis is largest; for a constant d, some along the path."""
     chosen: set[int] = set()
     for of_axis in d.T:
         if not of_axis.max() - of_axis.min() > ROUNDING:
@@ -222,7 +222,7 @@ def _bound(s: Survey, gains: Array, late: DelayEffect, extra: Extra) -> Ultimate
 
 
 def in_words(error: Array, axes: AxisSpace) -> str:
-    """Largest of errors (6,) of the axes, m and rad, as text."""
+    """Largest error of the axes (6,) m, rad as text, in mm of leg length or in mm and deg."""
     if axes == "joint":
         return f"{1e3 * error.max():.3g} mm of leg length"
     return f"{1e3 * error[:3].max():.3g} mm and {np.degrees(error[3:].max()):.3g} deg"

@@ -25,7 +25,7 @@ ROWS = {"error": 0, "rate_error": 1}
 
 
 def pade(delay_s: float, order: int) -> LinearSystem:
-    """Pade approximation of exp(-s T): all-pass, sum over k of c_k (-+ s T)^k."""
+    """Pade approximation of a delay, exp(-s T): all-pass, sum over k of c_k (-+ s T)^k."""
     if delay_s == 0.0:
         return static(np.eye(1))
     n = order
@@ -60,14 +60,14 @@ def drive(axis: DesignAxis) -> LinearSystem:
 
 
 def actuator(axis: DesignAxis, rate_Hz: float, order: int) -> LinearSystem:
-    """System from u to the acceleration of the axis: delay, half a period, lag; with the gain."""
+    """Rational system from u to the axis' acceleration: delay plus half a period, lag, gain."""
     delay = pade(1e-3 * axis.transport_ms + 0.5 / rate_Hz, order)
     path = drive(axis).after(delay)
     return path._replace(C=axis.gain * path.C, D=axis.gain * path.D)
 
 
 def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
-    """Unweighted problem from [d, noise, u] to [e, u, y]; `path` leads from u to the body."""
+    """Unweighted problem from [d, noise, u] to [e, u, y] of a 1/s^2 axis behind `path`, u to acceleration."""
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [-1.0]])
     C = np.eye(2)[[0, *(ROWS[name] for name in inputs)]]
     body = LinearSystem(A, B, C, np.zeros((len(C), 1)))
@@ -76,7 +76,7 @@ def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
 
 
 def around(axis: LinearSystem) -> LinearSystem:
-    """Problem from [d, noise, u] to [e, u, y] around an axis from [d, u] to [e, y]."""
+    """Synthesis problem from [d, noise, u] to [e, u, y] around an axis from [d, u] to [e, y]."""
     noise = [1] * (len(axis.C) - 1)
     B, C = np.insert(axis.B, noise, 0.0, axis=1), np.insert(axis.C, 1, 0.0, axis=0)
     D = np.insert(np.insert(axis.D, 1, 0.0, axis=0), noise, 0.0, axis=1)
@@ -104,7 +104,7 @@ def weighted(design: Design, core: LinearSystem) -> LinearSystem:
 
 
 def loop_axis(design: Design, axis: DesignAxis) -> DesignAxis:
-    """Axis for the synthesis; `lump_lag` replaces its lag by a dead time of about the same phase."""
+    """Axis for the synthesis; `lump_lag` replaces its lag by a dead time of similar phase."""
     if not design.lump_lag:
         return axis
     return axis.model_copy(update={"transport_ms": axis.transport_ms + axis.lag_ms, "lag_ms": 0.0})
@@ -114,7 +114,7 @@ def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
     """Weighted problem from [d, noise, u] to [W_e e, W_u u, y].
 
     Plain mixed sensitivity has no d. On 1/s^2 no input would excite the two modes at 0, and no gamma would
-    bound their response. Here d excites them without a change of the axis.
+    bound their response. In this problem d excites them without a change of the axis.
 
     Raises SynthesisError for an invalid axis or weight.
     """
@@ -123,7 +123,7 @@ def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
 
 
 def sampled_axis(axis: DesignAxis, rate_Hz: float, inputs: Sequence[str]) -> LinearSystem:
-    """Axis from [d, u] to [e, measured inputs], d and u held for a period."""
+    """Sampled axis from [d, u], held for a period, to [e, inputs of the controller]."""
     behind = exact_axis(1e-3 * axis.transport_ms, drive(axis), 1.0 / rate_Hz, axis.gain)
     legs = disturbed(behind)
     y = -legs.C[[0, *(ROWS[name] for name in inputs)]]
@@ -131,10 +131,10 @@ def sampled_axis(axis: DesignAxis, rate_Hz: float, inputs: Sequence[str]) -> Lin
 
 
 def loop_gain(K: LinearSystem, axis: LinearSystem) -> LinearSystem:
-    """Open loop L at u, of a sampled controller and `sampled_axis`; the closed loop has 1 + L."""
+    """Loop L, opened at u, of a sampled controller and a `sampled_axis`; the closed loop has 1 + L."""
     return K.after(axis._replace(B=axis.B[:, 1:], C=-axis.C[1:], D=-axis.D[1:, 1:]))
 
 
 def sampled_problem(design: Design, axis: DesignAxis) -> LinearSystem:
-    """Weighted problem of `generalised_plant` around the sampled axis."""
+    """Weighted problem of `generalised_plant`, but around the exactly sampled axis."""
     return weighted(design, around(sampled_axis(axis, design.rate_Hz, design.inputs)))

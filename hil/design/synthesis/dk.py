@@ -1,9 +1,9 @@
 """D-K iteration: a controller for the worst case of a structured uncertainty.
 
 mu of the closed loop cannot be minimised directly. The largest singular value of D M(K) D^-1 is an upper
-bound. It is convex in D for a given K, and an H-infinity problem in K for a given D. The iteration alternates
-both steps, from the controller of the nominal problem on (Doyle 1985; Zhou, Doyle and Glover 1996,
-section 11.4). It may end in a local optimum.
+bound. The bound is convex in D for a given K, and an H-infinity problem in K for a given D. The iteration
+alternates both steps, from the controller of the nominal problem on (Doyle 1985; Zhou, Doyle and Glover 1996,
+section 11.4). The iteration may end in a local optimum.
 """
 
 from collections.abc import Callable
@@ -25,20 +25,20 @@ GAIN = 0.003
 
 
 class Bounds(NamedTuple):
-    """Upper bound on mu of a loop over frequency."""
+    """Upper bound on the structured singular value mu of a loop over frequency."""
 
     omega: Array
-    """(N,) rad/s, refined around the peak."""
+    """(N,) rad/s, frequencies, refined around the peak."""
     upper: UpperBound
 
     @property
     def peak(self) -> float:
-        """The largest bound."""
+        """Largest upper bound on mu over all frequencies."""
         return float(self.upper.bound.max())
 
     @property
     def peak_rad_s(self) -> float:
-        """Frequency of the largest bound, rad/s."""
+        """Frequency, rad/s, at which the upper bound on mu is largest."""
         return float(self.omega[self.upper.bound.argmax()])
 
 
@@ -48,11 +48,11 @@ class Iterated(NamedTuple):
     K: LinearSystem
     bounds: Bounds
     history: list[float]
-    """Peak of mu after each round."""
+    """Peak of the upper bound on mu after each round."""
 
 
 def bounds_over_frequency(M: LinearSystem, blocks: list[Block], omega: Array) -> Bounds:
-    """Upper bounds on mu over `omega` and at 16 more frequencies around the peak."""
+    """Upper bounds on mu of M at the frequencies `omega` and at 16 more around the peak."""
     first = upper_bound(M.response(omega), blocks)
     k = int(first.bound.argmax())
     low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
@@ -76,7 +76,7 @@ def with_own(omega: Array, M: LinearSystem) -> Array:
 def fitted_scales(
     M: LinearSystem, found: Bounds, blocks: list[Block], within: tuple[float, float]
 ) -> list[LinearSystem]:
-    """Rational d(s) of order 1 for each uncertain block, fitted to the best scale found."""
+    """First-order d(s) for each uncertain block, fitted in magnitude to the scales found by `upper_bound`."""
     weight = _matters(M.response(found.omega), found, blocks)
     return [
         minimum_phase(found.omega, found.upper.D[:, i], within, weight[:, i]) for i in range(len(blocks) - 1)
@@ -102,13 +102,13 @@ def minimum_phase(omega: Array, magnitude: Array, within: tuple[float, float], w
 
 
 def inverse(d: LinearSystem) -> LinearSystem:
-    """Inverse 1 / d(s) of a d(s) with feed-through."""
+    """System 1 / d(s) of a d(s) whose feed-through is not zero."""
     E: Array = np.asarray(np.linalg.inv(d.D), float)
     return LinearSystem(d.A - d.B @ E @ d.C, d.B @ E, -E @ d.C, E)
 
 
 def scaled(problem: Structured, scales: list[LinearSystem]) -> LinearSystem:
-    """Plant with d(s) on the outputs of each uncertain block and 1 / d(s) on its inputs."""
+    """Plant with scale d(s) on the output and 1 / d(s) on the input of each uncertain block."""
     left = right = static(np.zeros((0, 0)))
     for d in scales:
         left, right = left.beside(d), right.beside(inverse(d))

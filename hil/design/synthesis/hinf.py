@@ -26,7 +26,7 @@ TOLERANCE = 1e-6
 
 
 class Synthesis(NamedTuple):
-    """A controller u = K y with its norm."""
+    """H-infinity controller u = K y, and the norm from w to z that it keeps."""
 
     K: LinearSystem
     gamma: float
@@ -45,13 +45,13 @@ class _Normal(NamedTuple):
     C2: Array
     D11: Array
     of_u: Array
-    """u = of_u u' """
+    """u = of_u u'."""
     to_y: Array
     """y' = to_y y."""
 
 
 def hinf(P: LinearSystem, n_y: int, n_u: int, ratio: float = 1.1) -> Synthesis:
-    """Central controller at gamma = `ratio` times the optimum.
+    """Central H-infinity controller at gamma = `ratio` times the smallest possible gamma.
 
     `P` is continuous, from [w; u] to [z; y]; the last `n_u` inputs are u, the last `n_y` outputs y. At the
     optimum itself poles of the controller go to infinity; a `ratio` above 1 avoids this.
@@ -71,7 +71,7 @@ def hinf(P: LinearSystem, n_y: int, n_u: int, ratio: float = 1.1) -> Synthesis:
 
 
 def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
-    """Balance and normalise the plant; reject a plant that violates the assumptions."""
+    """Plant, balanced and normalised. Raises SynthesisError for a plant that violates the assumptions."""
     if P.period_s is not None:
         raise SynthesisError("the plant is sampled, allowed: a continuous one")
     if not all(np.isfinite(matrix).all() for matrix in P[:4]):
@@ -108,7 +108,7 @@ def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
 
 
 def _well_posed(plant: _Normal, p: int, m: int) -> None:
-    """Reject a zero on the imaginary axis from u to z or from w to y, where gamma bounds nothing."""
+    """Raise SynthesisError for a zero on the imaginary axis from u to z or w to y, which voids gamma."""
     A, B1, B2, C1, C2, *_ = plant
 
     def axis(real: float) -> bool:
@@ -123,7 +123,7 @@ def _well_posed(plant: _Normal, p: int, m: int) -> None:
 
 
 def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> None:
-    """Reject a mode of A that B does not control (Hautus); `poles` tests real part over fastest pole."""
+    """Raise SynthesisError for a mode of A that B does not control (Hautus test), if `poles` selects it."""
     scale = max(float(np.linalg.norm(A)), 1e-300)
     size = np.linalg.norm(B, axis=0)
     B = scale * B / np.where(size > 0.0, size, 1.0)
@@ -139,7 +139,7 @@ def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> N
 
 
 def _optimum(plant: _Normal) -> float:
-    """Smallest feasible gamma, by bisection; both equations have solutions for a large gamma."""
+    """Smallest gamma for which `_riccati` has a solution, by bisection; every larger gamma has one, too."""
     m2, p2 = len(plant.of_u), len(plant.to_y)
     top, left = plant.D11[: len(plant.D11) - m2], plant.D11[:, : plant.D11.shape[1] - p2]
     low = max([0.0, *(float(np.linalg.norm(M, 2)) for M in (top, left) if M.size)])
@@ -157,7 +157,7 @@ def _optimum(plant: _Normal) -> float:
 
 
 def _riccati(plant: _Normal, gamma: float) -> tuple[Array, Array, Array, Array] | None:
-    """Solutions X, Y, F, L of both equations; None if one has no solution >= 0, or rho(X Y) >= gamma^2."""
+    """Solutions X, Y, F, L of both Riccati equations; None if X or Y is not >= 0, or rho(X Y) >= gamma^2."""
     A, B1, B2, C1, C2, D11, of_u, to_y = plant
     m2, p2 = len(of_u), len(to_y)
     p1, m1 = D11.shape

@@ -33,7 +33,7 @@ from hil.design.synthesis.weights import error_weight, noise
 from hil.mathematics.linear_system import LinearSystem
 
 RATIOS = tuple(1.0 + 0.01 * k for k in range(1, 11))
-"""gamma / gamma_opt, tried in this order."""
+"""Values of gamma / gamma_opt, tried in this order."""
 CLOSE = 1.01
 """Factor by which the norm may exceed gamma because of sampling, hold and the rational delay."""
 
@@ -46,7 +46,7 @@ RAISED = (
 
 @contextmanager
 def computable() -> Iterator[None]:
-    """Turn numerical failures and warnings, such as SciPy's near a singular matrix, into SynthesisError."""
+    """Context that turns numerical errors and warnings, as near a singular matrix, into SynthesisError."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -58,10 +58,10 @@ def computable() -> Iterator[None]:
 
 
 class Designed(NamedTuple):
-    """A usable controller, and its figures."""
+    """A controller that a loop can run, its analysis, and figures for the controller file."""
 
     K: LinearSystem
-    """Continuous controller."""
+    """Continuous controller, from [e, de] to u."""
     judged: Judgement
     figures: dict[str, Any]
 
@@ -119,7 +119,7 @@ def design_hinf(
 def _refuse_weights(
     closed: LinearSystem, found: Synthesis, reasons: tuple[str, ...], inputs: Sequence[str], raised: str
 ) -> None:
-    """Reject weights that cannot be met, and list the largest; raised: remark on the control weight."""
+    """Raise SynthesisError for weights that cannot be met, with the largest norms; raised: added remark."""
     if reasons:
         raise SynthesisError(
             f"gamma is {found.gamma_opt:.3g} at best, below 1 as required, but no such controller can run: "
@@ -148,13 +148,13 @@ def _refuse_weights(
 POINTS = 80
 """Number of frequencies in the grid of mu, before it is refined around the peak."""
 SPAN = 1e-4, 5.0
-"""Range of this grid, as shares of the Nyquist frequency."""
+"""Range of the frequency grid of mu, as shares of the Nyquist frequency."""
 NOTHING = 1e-4
 """Hankel singular value, as a share of the largest, below which a controller state is omitted. Such states
 come from nearly cancelling poles and zeros of the scales, and an anti-windup would need large gains for them.
 """
 LISTED = 40
-"""Number of frequencies in the file."""
+"""Number of frequencies of mu that the controller file lists."""
 
 
 @computable()

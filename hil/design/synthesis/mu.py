@@ -22,7 +22,7 @@ PATIENCE = 5
 class Block(NamedTuple):
     """One block of Delta: a full complex matrix (rows, columns).
 
-    It maps `columns` outputs of M to `rows` inputs of M.
+    The block maps `columns` outputs of M to `rows` inputs of M.
     """
 
     rows: int = 1
@@ -30,23 +30,23 @@ class Block(NamedTuple):
 
 
 class UpperBound(NamedTuple):
-    """mu <= bound at every frequency, and the scales that prove it."""
+    """Upper bound on mu at N frequencies, and the scales that prove it."""
 
     bound: Array
-    """(N,)."""
+    """(N,) upper bound on mu at each frequency."""
     D: Array
-    """(N, blocks), > 0, 1 in the last: bound = largest singular value of D M D^-1."""
+    """(N, blocks) scales > 0, 1 in the last: bound = largest singular value of D M D^-1."""
 
 
 def upper_bound(
     M: ComplexArray, blocks: list[Block], *, accuracy: float = 1e-4, iterations: int = 100
 ) -> UpperBound:
-    """Smallest bound on mu that scales of the blocks can prove, a convex problem.
+    """Smallest upper bound on mu of M that scales of the blocks can prove: a convex problem.
 
     beta >= mu if there are D > 0 that commute with Delta with M^H D^2 M <= beta^2 D^2. The least beta is the
-    largest singular value of D M D^-1, and equals mu for up to three blocks. It is found by the method of
-    centres: Newton's method on the barrier -log det(beta^2 D^2 - M^H D^2 M), beta lowered to the proven bound
-    after each centring. The result is a bound after any number of iterations.
+    largest singular value of D M D^-1, and equals mu for up to three blocks. The bound is found by the method
+    of centres: Newton's method on the barrier -log det(beta^2 D^2 - M^H D^2 M), beta lowered to the proven
+    bound after each centring. The result is a bound after any number of iterations.
 
     Parameters
     ----------
@@ -118,12 +118,12 @@ def _scaled(M: ComplexArray, D: Array, outputs: list[slice], inputs: list[slice]
 
 
 def _each(x: Array, parts: list[slice]) -> Array:
-    """Values of the blocks (N, blocks), repeated for each of their rows or columns."""
+    """Values of n blocks (N, n), repeated for each row or column of a block."""
     return np.repeat(x, [part.stop - part.start for part in parts], axis=1)
 
 
 def _proven(x: Array, gains: ComplexArray, inputs: list[slice]) -> Array:
-    """Smallest beta (N,) for which the scales x satisfy the inequality."""
+    """Smallest beta (N,), a bound on mu, that the scales x prove."""
     d2 = np.hstack([x, np.ones((len(x), 1))])
     left = np.einsum("Nk,Nkij->Nij", d2, gains)
     d = np.sqrt(_each(d2, inputs))
@@ -133,7 +133,7 @@ def _proven(x: Array, gains: ComplexArray, inputs: list[slice]) -> Array:
 
 
 def _newton_step(X: ComplexArray, basis: ComplexArray, x: Array) -> Array:
-    """Newton step of -log det X(x) - sum log x, with a line search."""
+    """Newton step that reduces -log det X(x) - sum log x, its length found by a line search."""
     values, vectors = np.linalg.eigh(X)
     S = vectors / np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
     Y = _dagger(S)[:, None] @ basis @ S[:, None]  # X^-1/2 dX X^-1/2

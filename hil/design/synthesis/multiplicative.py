@@ -30,23 +30,23 @@ BEYOND = 0.5
 
 
 class Relative(NamedTuple):
-    """w(omega), at rising frequencies. Below the first: constant; above the last: in proportion to omega."""
+    """Bound w(omega) at rising frequencies: constant below the first, rising as omega above the last."""
 
     omega: Array
-    """(n,) rad/s."""
+    """(n,) rad/s, frequencies in rising order."""
     bound: Array
-    """(n,)"""
+    """(n,) bound w on the relative error."""
     flat_rad_s: float
-    """Frequency above which the bound is constant."""
+    """Frequency, rad/s, above which the bound is constant."""
 
     def at(self, omega: Array) -> Array:
-        """Interpolated w at other frequencies, rad/s."""
+        """Bound w (n,), interpolated at the frequencies omega (n,) rad/s."""
         beyond = np.clip(omega, self.omega[-1], max(self.flat_rad_s, self.omega[-1])) / self.omega[-1]
         return np.asarray(np.interp(np.log(omega), np.log(self.omega), self.bound) * beyond, float)
 
 
 class Margin(NamedTuple):
-    """Robustness of a loop to the uncertainty."""
+    """Robustness of a loop to the uncertainty of the measured axes."""
 
     norm: float
     """Largest |w T|, or spectral radius of |w T_6|; below 1 the loop is robustly stable."""
@@ -88,7 +88,7 @@ def tightest(
 
 
 def cover(omega: Array, values: Array, corner: float) -> TransferFunction:
-    """Tightest k ((s / z + 1) / (s / p + 1))^n above all values; n up to 2, z, p to `corner`."""
+    """Tightest k ((s / z + 1) / (s / p + 1))^n above `values` at `omega`; n 1 or 2, z and p to `corner`."""
     s = 1j * omega
     corners = np.geomspace(max(omega[0], 1e-3 * corner), corner, 60)
     shapes = (
@@ -104,7 +104,7 @@ def covered(design: Design, measured: Relative, gain: float) -> Design:
     """Design whose control weight also covers the uncertainty: |W_u W_d| >= gain w.
 
     W_u T W_d / gain is a path of the problem, divided by the response of lag and drive, which is at most 1.
-    So gamma < 1 implies |w T| < 1.
+    Therefore gamma < 1 implies |w T| < 1.
     """
     omega = frequencies(design.rate_Hz)
     amplitude = design.weights.disturbance.amplitude_m_s2
@@ -117,7 +117,7 @@ def covered(design: Design, measured: Relative, gain: float) -> Design:
 
 
 def cover_system(measured: Relative, rate_Hz: float) -> LinearSystem:
-    """Stable system with a gain of at least w, as a weight of a structured problem."""
+    """Stable linear system with a gain of at least the bound w, as a weight of a structured problem."""
     omega = frequencies(rate_Hz)
     return rational(cover(omega, measured.at(omega), CORNER * pi * rate_Hz), "cover of the measured axes")
 

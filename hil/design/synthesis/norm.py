@@ -1,4 +1,4 @@
-"""The H-infinity norm, computed independently of the synthesis."""
+"""H-infinity norm of a linear system, computed independently of the synthesis."""
 
 import numpy as np
 
@@ -49,7 +49,7 @@ def norm(system: LinearSystem) -> float:
 
 
 def gains(system: LinearSystem, omega: Array) -> Array:
-    """Largest singular value of the response at each omega, rad/s."""
+    """Largest singular value (n,) of the response at each frequency of omega (n,), rad/s."""
     return np.asarray(np.linalg.svd(system.response(omega), compute_uv=False)[:, 0])
 
 

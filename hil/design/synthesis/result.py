@@ -1,4 +1,4 @@
-"""Result of a synthesis: the controller in sampled form, judged on the exact sampled loop."""
+"""Result of a synthesis: the controller in sampled form, analysed in the exact sampled loop."""
 
 from math import pi
 from typing import Any, NamedTuple
@@ -24,19 +24,19 @@ SLOW = 0.1
 
 
 class Judgement(NamedTuple):
-    """A controller on its axis."""
+    """Analysis of a controller on its axis, and the reasons against its use."""
 
     sampled: LinearSystem
-    """The controller at the loop's rate."""
+    """Controller, sampled at the rate of the loop."""
     margins: Margins
     loop_poles: ComplexArray
-    """rad/s, of the loop of rational axis and continuous controller."""
+    """Poles, rad/s, of the closed loop of rational axis and continuous controller."""
     reasons: tuple[str, ...]
-    """Reasons against its use; empty for a good controller."""
+    """Reasons why a loop cannot run the controller; empty for a usable controller."""
 
 
 def judge(design: Design, axis: DesignAxis, K: LinearSystem) -> Judgement:
-    """Sample a continuous controller and judge its loop.
+    """Sample a continuous controller, and analyse its loop with the axis.
 
     The map is Tustin's, without prewarping: it distorts above half Nyquist, where no pole may be.
     """
@@ -152,7 +152,7 @@ def _factor(gramian: Array) -> Array:
 def linear_controller(
     design: Design, method: str, judged: Judgement, figures: dict[str, Any]
 ) -> LinearController:
-    """Convert to a controller file: the sampled controller in balanced coordinates, and the figures."""
+    """Content of a controller file: the sampled controller in balanced coordinates, and the figures."""
     K = balanced(judged.sampled)
     return LinearController.model_validate(
         {
@@ -172,7 +172,7 @@ def linear_controller(
 
 
 def described(design: Design, axis: DesignAxis, judged: Judgement, K: LinearSystem) -> dict[str, Any]:
-    """Design input, margins and poles as plain numbers with their units."""
+    """Axis, weights, margins and poles of a design, by names with units, for the controller file."""
     m = judged.margins
     return {
         "crossover_rad_s": m.crossover_rad_s,
@@ -190,5 +190,5 @@ def described(design: Design, axis: DesignAxis, judged: Judgement, K: LinearSyst
 
 
 def _pairs(poles: ComplexArray) -> list[list[float]]:
-    """Real and imaginary part, the slowest first; no minus zero."""
+    """[real, imaginary] of the poles with imaginary part >= 0, the slowest first, for a file."""
     return [[float(p.real), abs(float(p.imag))] for p in sorted(poles, key=abs) if p.imag >= 0.0]

@@ -4,10 +4,10 @@
     v = gain (1 + W_lag Delta_lag + W Delta (1 + W_lag Delta_lag)) drive (1 + W_delay Delta_delay) delay u
 
 W Delta is the relative error of measured axes from the nominal one, if there are any (module multiplicative).
-delta is the inertia's relative error over its range r. It enters exactly, but the bounds treat it as complex.
-A disc around the nominal value covers delay and lag at every frequency: a multiplicative weight (S. Skogestad
-and I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, section 7.4). Delta contains more
-than the real axes: a property of all of Delta holds for them, too.
+delta is the inertia's relative error over its range r. It enters exactly, but the bounds treat delta as
+complex. A disc around the nominal value covers delay and lag at every frequency: a multiplicative weight (S.
+Skogestad and I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, section 7.4). Delta
+contains more than the real axes: a property of all of Delta holds for them, too.
 """
 
 from math import pi
@@ -29,7 +29,7 @@ Sum = dict[str, float]
 
 
 class Structured(NamedTuple):
-    """Weighted problem from [w of each block of Delta, d, noise, u] to [z of each block, e, u, y]."""
+    """Weighted problem from [w of each block of Delta, d, noise, u] to [z of each block, W_e e, W_u u, y]."""
 
     plant: LinearSystem
     blocks: list[Block]
@@ -94,7 +94,7 @@ def cover(omega: Array, error: Array, corner: float) -> LinearSystem:
 
 
 def covers(design: Design, axis: DesignAxis, ranges: UncertaintyRanges) -> tuple[LinearSystem, LinearSystem]:
-    """Weights of delay and lag; a controller inherits their corners.
+    """Weights that cover the ranges of delay and lag; a controller inherits their corners.
 
     Raises SynthesisError if the nominal axis lies outside the ranges.
     """
@@ -180,7 +180,7 @@ def wired(parts: dict[str, tuple[LinearSystem, Sum]], inputs: list[str], outputs
 
 
 def well_scaled(system: LinearSystem) -> LinearSystem:
-    """Scale the states so that each is excited as strongly as it acts.
+    """System with states scaled so that each is excited as strongly as it acts.
 
     Row and column of each state in [A B; C 0] get the same norm, by powers of 2 to avoid rounding (Osborne
     1960). The rank tests of a synthesis then compare numbers of one size.

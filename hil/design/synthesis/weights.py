@@ -1,4 +1,4 @@
-"""Weights from physical numbers: disturbance and noise, allowed error and allowed control."""
+"""Weights of a synthesis from physical numbers: disturbance, noise, allowed error, allowed control."""
 
 from math import pi
 
@@ -11,7 +11,7 @@ from hil.config.design import ControlWeight, Design, ErrorWeight, TransferFuncti
 from hil.mathematics.linear_system import LinearSystem, static
 
 BEYOND = 2.0 * pi
-"""Frequency above which the control weight is flat, and so proper: rad/s per Hz of the rate."""
+"""Frequency, rad/s per Hz of the loop's rate, above which the control weight is flat, and so proper."""
 
 
 def shelf(low: float, high: float, corner: float) -> LinearSystem:
@@ -22,7 +22,7 @@ def shelf(low: float, high: float, corner: float) -> LinearSystem:
 
 
 def rational(section: TransferFunction, what: str) -> LinearSystem:
-    """System of a rational function.
+    """Linear system of a rational function of s.
 
     Raises SynthesisError for an improper function or a zero denominator.
     """
@@ -72,7 +72,7 @@ def control_weight(section: ControlWeight | TransferFunction, rate_Hz: float) ->
 
 
 def noise(design: Design) -> Array:
-    """Amplitude of the noise of each input (n,), at every frequency."""
+    """Amplitude (n,) of the noise of each controller input, m or m/s, equal at all frequencies."""
     given = design.weights.noise
     amplitudes = {"error": given.error_m, "rate_error": given.rate_error_m_s or 0.0}
     return np.array([amplitudes[name] for name in design.inputs])

@@ -69,7 +69,7 @@ def test_mistake_in_the_file_is_reported_with_line_and_column(old, tmp_path):
 
 def test_controller_for_another_rate_is_refused():
     message = refusal(GOOD, Path(), rate_Hz=500)
-    assert "controller.controller_file: made for 1000 Hz, but the loop runs at 500 Hz" in message
+    assert "controller.controller_file: designed for 1000 Hz, but the loop runs at 500 Hz" in message
     assert "design the controller again" in message
 
 

@@ -137,5 +137,5 @@ def test_anti_windup_gain_times_the_reduction_is_added_to_the_state():
 
 
 def test_a_controller_sampled_for_another_rate_is_refused():
-    with pytest.raises(ConfigurationError, match="made for 500 Hz"):
+    with pytest.raises(ConfigurationError, match="designed for 500 Hz"):
         law(controller([], [], [[]], [[1.0, 1.0]], rate_Hz=500.0))

@@ -328,7 +328,7 @@ def test_the_json_file_has_figures_settings_losses_and_claims(compared):
     ("arguments", "message"),
     [
         (("--laws", "lqr"), "unknown law lqr; allowed: cartesian_pd, "),
-        (("--laws", ","), "Invalid value for '--laws': no name in it"),
+        (("--laws", ","), "Invalid value for '--laws': it contains no name"),
         (("--wrench", "nan", *"00000"), "'nan', allowed in size"),
         (("--wrench-at", 0.5), "--wrench-at is the time of --wrench"),
         (("--wrench", *"100000", "--wrench-at", 2), "the reference ends before the load begins"),

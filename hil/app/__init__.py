@@ -1,1 +1,1 @@
-"""One module for each command; the only package that imports both ends of the bus."""
+"""Implements the commands; the only package that imports both ends of the bus, controller and plant."""

@@ -1,4 +1,4 @@
-"""Parts of both ends of the bus, built from a Configuration."""
+"""Builds controller, drives, sensors and plant from a Configuration."""
 
 from __future__ import annotations
 
@@ -84,19 +84,19 @@ NAMED_FILES: tuple[tuple[str, str, str, type[Any], Callable[[Any, Path], Path]],
 
 
 def build_protocol(configuration: Configuration) -> Family:
-    """Codec for both ends of the bus."""
+    """Codec of the configured drive protocol, for both ends of the bus."""
     return drivers.build_protocol(configuration.bus, configuration.drives)
 
 
 def drive_setup(configuration: Configuration, rate_Hz: float, watchdog_s: float | None = None) -> DriveSetup:
-    """Settings that a loop at `rate_Hz` writes to the drives; `watchdog_s` defaults to the configured one."""
+    """Settings that a loop at `rate_Hz` writes to the drives; `watchdog_s`: default as configured."""
     default_s = configuration.drives.watchdog_ms * 1e-3
     reaction = Reaction[configuration.reactions.silence.upper()]
     return DriveSetup(default_s if watchdog_s is None else watchdog_s, reaction, rate_Hz)
 
 
 def build_sensors(configuration: Configuration) -> SensorProtocol | None:
-    """Codec of the configured sensors, for both ends; None without sensors."""
+    """Codec of the configured sensors, for both ends of the bus; None without sensors."""
     sensors = SensorProtocol(configuration.bus, configuration.sensors)
     return sensors if sensors.kinds else None
 
@@ -109,14 +109,13 @@ def build_cycle(
     trajectory: Trajectory | None = None,
     last_pose: LastPose | None = None,
 ) -> Cycle:
-    """Controller at `rate_Hz`, which sets the drives' watchdogs to `watchdog_s`.
+    """Controller of a configuration at `rate_Hz`, which sets the drives' watchdogs to `watchdog_s`.
 
     The largest force step is scaled so that the force slope in N/s stays the same at every rate.
 
-    recorded: planned reference from a log.
-    trajectory: path to follow; by default that of section `reference`.
-    last_pose: pose at which drives without absolute encoders were parked; by default the plant's initial
-    pose.
+    recorded: planned reference from a log. trajectory: path to follow; by default that of section
+    `reference`. last_pose: pose at which drives without absolute encoders were parked; by default the plant's
+    initial pose.
     """
     from hil.loop.cycle import Cycle
 
@@ -202,7 +201,7 @@ def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> E
 
 
 def build_admission(c: Configuration, platform: Platform) -> Admission:
-    """Checks on set-points of a live reference; with any other reference, on jogging."""
+    """Checks of set-points of a live reference; with any other reference, checks of jogging."""
     if isinstance(c.reference, LiveReference):
         ddchi = axis_limits(c.reference.limits)[1]
     else:
@@ -234,7 +233,7 @@ def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> FusedEstima
 
 
 def _predictor(c: Configuration, platform: Platform, period_s: float) -> Predictor | None:
-    """Predictor for the law; None without section `delay_compensation`."""
+    """Predictor that compensates the loop's delay; None without section `delay_compensation`."""
     delay, believed = c.controller.lookahead, c.controller.believed
     if delay is None or believed is None:
         return None
@@ -288,7 +287,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
 def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None:
     """Refuse a plant that starts at other leg lengths than the configured platform: another robot or pose.
 
-    The controller would use the wrong model for it. A bench has no platform to compare with.
+    The controller would use the wrong model for it. A plant of bare legs has no platform to compare with.
     """
     given, _ = plant.reset()
     expected = leg_lengths(build_platform(c.platform), p, R)
@@ -305,7 +304,7 @@ def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None
 
 
 def _counted_from(c: Configuration, beyond: Array) -> str:
-    """Advice for an FMU that counts its lengths from elsewhere, by (6,) m that its lengths lack."""
+    """Advice for an FMU whose leg lengths have another zero; beyond (6,) m: what its lengths lack."""
     if c.plant is None or not isinstance(c.plant.model, FmuPlant):
         return ""
     offset = (beyond + c.plant.model.length_offset_m).round(6).tolist()
@@ -314,7 +313,7 @@ def _counted_from(c: Configuration, beyond: Array) -> str:
 
 
 def build_scene(configuration: Configuration) -> Scene:
-    """Geometry that live views draw."""
+    """Joint geometry of base and platform that live 3D views draw."""
     from hil.record import Scene
 
     robot = platform_dict(configuration.platform)
@@ -332,7 +331,7 @@ def record(
     clock: Clock = MONOTONIC,
     run: str = "",
 ) -> Recording:
-    """Start the recorder of a controller: `kind` is run or sim, `live` draws a status line.
+    """Start the recorder of a controller's log; kind: `run` or `sim`; live: draw a status line.
 
     A run in real time is visible to `hil watch`; `run` identifies a simulated run.
     """
@@ -373,20 +372,20 @@ def record(
 
 
 def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
-    """DBC files (name, bytes) of protocol and sensors, which decode the frames of a log."""
+    """DBC files (name, bytes) of drive protocol and sensors, stored in a log to decode its frames."""
     sensors = build_sensors(configuration)
     ours = build_protocol(configuration).traits.database, None if sensors is None else sensors.database
     return [(each[0], each[1].encode()) for each in ours if each is not None]
 
 
 def version_of(database: str) -> str:
-    """VERSION entry of the text of a DBC; empty without one."""
+    """VERSION entry in the text of a DBC file; empty without one."""
     found = re.search(r'^VERSION "([^"]*)"', database, re.MULTILINE)
     return "" if found is None else found[1]
 
 
 def attachments(c: Configuration) -> list[tuple[str, bytes]]:
-    """Attachments (name, bytes) of a log: every file that replay needs in addition to the configuration."""
+    """Files (name, bytes) to attach to a log: all that replay needs in addition to the configuration."""
     files = databases(c)
     for name, section, _, kind, path_of in NAMED_FILES:
         settings = getattr(c, section)

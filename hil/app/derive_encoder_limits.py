@@ -1,4 +1,4 @@
-"""Limits of the encoder rules, and leg errors for the fused pose, from a configuration."""
+"""Derives the limits of the encoder checks, and leg errors for sensor fusion, from a configuration."""
 
 from math import ceil, hypot, inf, sqrt
 from typing import NamedTuple
@@ -44,11 +44,11 @@ UNKNOWN = sqrt(3.0)
 
 
 def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
-    """Limits of the encoder rules at a rate of the loop.
+    """Limits of the safety rules that check the encoders, at a rate of the loop.
 
-    A probe push takes a leg with load F, N, across its whole friction band: from (F - friction) eta_b to
-    (F + friction + force to accelerate it) / eta_d. Where a tracker is fused into the pose, the filter checks
-    the encoders and no leg is watched here. Raises ConfigurationError where the legs are singular at home.
+    A probe push tests a resting encoder. It takes a leg with load F, N, across its whole friction band: from
+    (F - friction) eta_b to (F + friction + force to accelerate it) / eta_d. With a tracker in the fused pose,
+    the filter checks the encoders instead. Raises ConfigurationError if the legs are singular at home.
     """
     payload, period_s = unknown_payload(c), 1.0 / rate_Hz
     friction, protocol = friction_N(c), build_protocol(c.bus, c.drives)
@@ -127,14 +127,14 @@ def _rise_ticks(
 
 
 class Noise(NamedTuple):
-    """Largest deviation of a leg's readings."""
+    """Largest deviations of a leg's length and rate readings from the true values."""
 
     length_m: float
     rate_m_s: float
 
 
 def steps(c: Configuration, rate_Hz: float) -> Noise:
-    """Quantisation of readings, by an emulated encoder and by the drives' frames."""
+    """Quantisation of length and rate readings, by an emulated encoder and by the drives' frames."""
     encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
     read = build_protocol(c.bus, c.drives).traits.resolution.at(rate_Hz)
     return Noise(encoder_m + max(float(read.length.max()), LENGTH_STEP_M), float(read.rate.max()))
@@ -147,7 +147,7 @@ def read_noise(c: Configuration, rate_Hz: float) -> Noise:
 
 
 def efficiencies(c: Configuration) -> tuple[Array, Array]:
-    """Efficiencies (6,): of the motor driving the leg, and of the leg driving the motor."""
+    """Efficiencies (6,), 0 to 1: of the motor driving the leg, and of the leg driving the motor."""
     if c.drives.transmission is None:
         return np.ones(LEGS), np.ones(LEGS)
     gear = Transmission(c.drives.transmission)
@@ -155,13 +155,13 @@ def efficiencies(c: Configuration) -> tuple[Array, Array]:
 
 
 def believed_mass_kg(c: Configuration) -> Array:
-    """Reflected mass of motor and screw along each leg in the controller's model, (6,) kg."""
+    """Reflected mass (6,) kg of motor and screw along each leg in the controller's model."""
     believed = c.controller.believed
     return np.broadcast_to(0.0 if believed is None else np.array(believed.reflected_mass_kg, float), LEGS)
 
 
 def stated_friction_N(c: Configuration) -> float:
-    """Configured or identified dry friction, N."""
+    """Dry friction of a leg, N, as configured in section `monitor`, the law's model or the plant."""
     if c.monitor.friction_N is not None:
         return c.monitor.friction_N
     believed = c.controller.believed
@@ -183,7 +183,7 @@ def friction_N(c: Configuration) -> float:
 
 
 def leg_errors(c: Configuration) -> LegErrors:
-    """Errors of the legs from the sections `estimation`, `monitor` and `plant`."""
+    """Standard deviations of leg readings and forces, from sections `estimation`, `monitor` and `plant`."""
     s, monitor = c.estimation.fusion, c.monitor
     length_std_m, rate_std_m_s, force_std_N = s.length_std_m, s.rate_std_m_s, s.leg_force_std_N
     if length_std_m is None:

@@ -1,4 +1,4 @@
-"""Atomic writing of files, and checks of output files before the work begins."""
+"""Atomic writing of files, and checks of output files before a command's work begins."""
 
 import contextlib
 import os
@@ -12,7 +12,7 @@ from hil.app.terminal import one_line
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file atomically; an earlier file is replaced. Raises OSError.
+    """Write a text file atomically, over an earlier file. Raises OSError.
 
     Characters that UTF-8 cannot encode, as undecodable bytes of a file name, become question marks.
     """
@@ -24,7 +24,7 @@ def write_whole(path: Path, text: str) -> None:
 def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
     """Yield a temporary file next to `path`; rename it to `path` at the end, or remove it after an error.
 
-    Raises LogError where `path` was created in the meantime and `overwrite` is False; OSError.
+    Raises LogError if `path` was created in the meantime and `overwrite` is False; OSError.
     """
     with whole_file(path) as temporary:
         yield temporary
@@ -33,7 +33,7 @@ def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
 
 
 class Kind(NamedTuple):
-    """Kind of an output file. A command replaces an earlier file of its own kind."""
+    """Kind of an output file; a command replaces an earlier file only if it is of the command's own kind."""
 
     name: str
     """Noun for messages: `a PNG picture`."""
@@ -42,7 +42,7 @@ class Kind(NamedTuple):
 
 
 def beginning(name: str, head: bytes) -> Kind:
-    """Kind of the files that begin with the bytes `head`."""
+    """Kind of output file that is recognised by its first bytes `head`."""
     return Kind(name, lambda path: _begins(path, head))
 
 

@@ -1,4 +1,4 @@
-"""`hil fmu`: the platform's physics as FMUs, and a proposed mapping for the variables of another FMU."""
+"""`hil fmu`: builds the platform's physics as FMUs, and proposes a mapping of another FMU's variables."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -45,7 +45,7 @@ def plant_section(path: str, proposal: Proposal) -> list[str]:
 
 
 def show_fmu(path: Path) -> tuple[list[str], dict[str, Any]]:
-    """Lines that `hil fmu show` prints, and its summary. Raises PlantError."""
+    """(lines that `hil fmu show` prints, summary). Raises PlantError if the FMU cannot be read."""
     proposal = propose(path)
     lines = [
         f"{path}: FMI {proposal.fmi}, made by {proposal.tool}",

@@ -1,4 +1,4 @@
-"""`recording.budget_GB`: remove old logs to make room for a new one.
+"""Removes old logs to make room for a new one, within `recording.budget_GB`.
 
 Only logs with dated names of the same configuration in its recordings folder are counted and removed. A log
 with a name given by the user is never touched.
@@ -21,9 +21,9 @@ GB = 1_000_000_000
 
 
 def needed_bytes(c: Configuration, path_s: float | None, duration_s: float | None) -> int:
-    """Upper bound of the log of a run, bytes; 0 for a run without a known end.
+    """Upper bound of the size of a run's log, bytes; 0 for a run without a known end.
 
-    path_s: duration of the reference. Approach, brake tests and parking count as 30 s.
+    path_s, duration_s: of the reference and of the run, s. Approach, brake tests and parking count as 30 s.
     """
     ends = [s for s in (path_s, duration_s) if s is not None]
     return round((min(ends) + 30.0) * c.loop.rate_Hz * TICK_BYTES) if ends else 0
@@ -92,7 +92,7 @@ def _removable(runs: list[list[Path]]) -> Iterator[Path]:
 
 
 def _had_trouble(path: Path) -> bool:
-    """True for a log with a fault, a cut log or an unreadable one: somebody may still need it."""
+    """True for a log with a fault, a truncated or an unreadable log: somebody may still need it."""
     if path.stem.endswith("-plant"):
         return False
     try:

@@ -1,4 +1,4 @@
-"""Delay from measurement to force, from the configuration."""
+"""Delay of the loop from encoder sample to leg force, derived from the configuration."""
 
 from math import pi
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from plant_fmu.config import StewartPlant
 
 
 class LoopDelay(NamedTuple):
-    """Delay from the encoder sample to the force in the legs."""
+    """Delays, s, from the encoder sample to the force in the legs."""
 
     period_s: float
     transport_s: float
@@ -22,16 +22,16 @@ class LoopDelay(NamedTuple):
 
     @property
     def total_s(self) -> float:
-        """Delay of the loop at low frequency: transport, lag, and half a period of the zero-order hold."""
+        """Delay of the loop at low frequency, s: transport, lag, and half a period of the zero-order hold."""
         return self.transport_s + self.lag_s + 0.5 * self.period_s
 
 
 def loop_delay(c: Configuration) -> LoopDelay:
-    """Delay of the loop: from `delay_compensation` of the law or `estimation.wrench` if stated, else a bound.
+    """Delay of the loop, as stated in `delay_compensation` or `estimation.wrench`, else an upper bound.
 
     Transport is at most one period, none in layout `ideal`, and one more where the poll of the next tick
     carries the command. The lag is that of our own FMU, else of the emulated drives. In layout `ideal` the
-    values of the law are ignored.
+    stated values are ignored.
     """
     period = 1.0 / c.loop.rate_Hz
     ideal = c.bus.layout == "ideal"
@@ -57,7 +57,7 @@ def stated_delay(c: Configuration) -> ForceDelay | None:
 
 
 def observer_of(c: Configuration) -> Observer | None:
-    """Observer of the wrench as a part of the loop; None without one, or if the law ignores its estimate."""
+    """Observer of the wrench in the loop; None without one, or if the law ignores its estimate."""
     w, law = c.estimation.wrench, c.controller
     online = isinstance(law, FeedforwardPDSettings) and law.evaluation == "online"
     if w.source != "observer" or not (online or (law.axes is not None and law.compensates_wrench)):

@@ -1,4 +1,4 @@
-"""`hil ctl` and `hil setpoint`: an operator's commands to a running controller, from a terminal."""
+"""`hil ctl` and `hil setpoint`: sends an operator's commands from a terminal to a running controller."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ SHOWN = {
 
 
 def status(bus: BusAddress) -> dict[str, Any]:
-    """Status of the controller as a summary. Raises RunError: no controller runs or answers."""
+    """Status of the running controller as a summary. Raises RunError: no controller runs or answers."""
     with _client(bus) as client:
         return {"success": True, "kind": "ctl", **client.status()}
 
 
 def status_lines(summary: dict[str, Any]) -> list[str]:
-    """Status as lines for the terminal."""
+    """Status of the running controller as lines for the terminal."""
     return [f"{title:26s}{_shown(summary[key])}" for key, title in SHOWN.items()]
 
 
@@ -62,8 +62,8 @@ def _client(bus: BusAddress) -> OperatorClient:
 def say(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> dict[str, Any]:
     """Send one command; hold the key, or repeat a jog, until Ctrl-C or for `seconds`; return the summary.
 
-    Its `trouble` names a refused command, or a controller that ended during a repeated one. Raises RunError:
-    no controller runs or answers.
+    Its `trouble` reports a refused command, or a controller that ended during a repeated one. Raises
+    RunError: no controller runs or answers.
     """
     line, sent, begun, trouble = " ".join(words), 0, time.monotonic(), ""
     repeated = line == "key" or words[0] == "jog"
@@ -89,7 +89,7 @@ def say(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> 
 
 
 def send_setpoints(bus: BusAddress, lines: Iterable[str]) -> dict[str, Any]:
-    """Send each line `x y z [rx ry rz]` (m, deg) as it arrives, and return the summary.
+    """Send each line `x y z [rx ry rz]` (m, deg) as a set-point as it arrives; return the summary.
 
     A controller that ends meanwhile is the `trouble` of the summary, which counts the accepted set-points.
     Raises RunError: no controller listens, or none answers the first line.

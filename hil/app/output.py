@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Path:
-    """Path of the log to write: the given one, or a new dated one in the recordings folder.
+    """Path of the log to write: the given path, or a new dated name in the recordings folder.
 
     Raises LogError: the file exists (a log is never overwritten), or its folder cannot be made or written.
     """
@@ -51,7 +51,7 @@ def _make_folder(file: Path, option: str) -> None:
 
 
 def picture_path(folder: str, stem: str, given: Path | None, option: str = "--picture") -> Path:
-    """Path of the PNG file to write: the given one, or a new dated one in the given or the recordings folder.
+    """Path of the PNG file to write: the given path, or a new dated name in its or the recordings folder.
 
     option: the option that sets the path. Raises LogError: the file exists and is not a PNG picture, or its
     folder cannot be made or written.
@@ -66,14 +66,14 @@ def picture_path(folder: str, stem: str, given: Path | None, option: str = "--pi
 
 
 def picture_beside(file: Path, option: str) -> Path:
-    """Path of the PNG file next to another output, set by `option`. Raises LogError, as `picture_path`."""
+    """Path of the PNG file next to another output, set by `option`. Raises LogError as `picture_path`."""
     if file.suffix.lower() == ".png":
         raise LogError(f"{option} {file}: its picture takes a name in .png; let this one end otherwise")
     return picture_path("", "", file.with_suffix(".png"), f"{option} {file}: the picture")
 
 
 def check_json_path(path: Path) -> None:
-    """Refuse a summary file that cannot be written, before anything starts.
+    """Refuse a summary file (--json) that cannot be written, before anything starts.
 
     A pipe or a device is allowed. Raises LogError, as `new_file`.
     """
@@ -90,7 +90,7 @@ def _is_summary(path: Path) -> bool:
 
 
 def write_json(path: Path, summary: dict[str, Any]) -> None:
-    """Write a summary atomically; numbers that are not finite become null.
+    """Write a summary as JSON, atomically; numbers that are not finite become null.
 
     Raises LogError: the folder cannot be written.
     """
@@ -110,7 +110,7 @@ def _plain(value: Any) -> Any:
 
 
 def fail(summary: dict[str, Any], why: str) -> None:
-    """Mark a run that has ended as failed, and append `why` to its `trouble`; an empty `why` changes nothing.
+    """Mark the summary of a run as failed, and append `why` to its `trouble`; no change if `why` is empty.
 
     The summary is still written: the platform moved, and the summary is the record of it.
     """
@@ -121,7 +121,7 @@ def fail(summary: dict[str, Any], why: str) -> None:
 
 @contextmanager
 def further(summary: dict[str, Any]) -> Iterator[None]:
-    """Write one more output after the work is done.
+    """Context in which a command writes one more output after its main work.
 
     An error is added to `unwritten` of the summary, which is marked as failed; the work is not lost.
     """
@@ -133,31 +133,31 @@ def further(summary: dict[str, Any]) -> Iterator[None]:
 
 
 def reason(error: HilError | OSError) -> str:
-    """Text of an error, with its file."""
+    """Text of an error, with the file that it is about."""
     if isinstance(error, OSError):
         return ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
     return str(error)
 
 
 def fault_story(ending: Ending) -> dict[str, Any] | None:
-    """Story of a run's faults for its summary; None without a fault."""
+    """Explanation of a run's faults for its summary, as plain values; None without a fault."""
     return None if ending.story is None else ending.story.fields()
 
 
 def end_record(ending: Ending, trouble: str) -> dict[str, Any]:
-    """Fields that a log stores about the end of its run."""
+    """Fields about the end of a run that its log stores."""
     end: dict[str, Any] = {"ending": ending.mode.name, "reason": trouble, "faults": int(ending.faults)}
     return end if ending.story is None else end | {"story": fault_story(ending)}
 
 
 def after_run(ending: Ending) -> str:
-    """How a run ended, as the beginning of a message about an error after it."""
+    """How a run ended, as the beginning of a message about an error after the run."""
     return f"after the run, which ended in {ending.mode.name}" + f": {ending.trouble}" * bool(ending.trouble)
 
 
 @contextmanager
 def leaving(there: Callable[[], str]) -> Iterator[None]:
-    """Add the text of `there()`, the existing outputs, to a KeyboardInterrupt without a text."""
+    """Context that adds the text of `there()`, the outputs so far, to a KeyboardInterrupt without a text."""
     try:
         yield
     except KeyboardInterrupt as interrupt:
@@ -213,12 +213,12 @@ def _width() -> int:
 
 
 def fold(text: str, width: int) -> list[str]:
-    """Break a text between words; a path stays in one piece."""
+    """Break a text into lines of `width` characters between words; a path stays in one piece."""
     return textwrap.wrap(text, max(width, 20), break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def figure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Figures of a summary as (name, value with unit)."""
+    """Figures of a summary as (name, value with unit) for a table."""
     return list(_rows(summary, ""))
 
 
@@ -247,7 +247,7 @@ def _rows(values: dict[str, Any], indent: str) -> Iterator[tuple[str, str]]:
 
 
 def replay_sentence(summary: dict[str, Any]) -> str:
-    """Result of a replay in one sentence, from `hil.app.replay.summary`."""
+    """Result of a replay in one sentence; summary: of `hil.app.replay.summary`."""
     ticks, different = summary["ticks"], summary["different_ticks"]
     if not ticks:
         return "0 ticks: nothing to compare"
@@ -273,7 +273,7 @@ def _text(value: Any, unit: str) -> str:
 
 
 def number(value: Any) -> str:
-    """Figure as text: three digits for small ones, larger ones in full."""
+    """Number as text: three digits below 100, larger numbers in full."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):

@@ -1,6 +1,6 @@
 """`hil plant`: the other end of the bus in real time, six emulated drives in front of a plant.
 
-It only deals with frames and time, so that it can test other controllers as well.
+It depends on frames and time only, so that it can test other controllers as well.
 """
 
 import contextlib
@@ -54,7 +54,7 @@ CLOSING_S = 5.0
 
 
 class ProcessFaults:
-    """Kills, stops and slows this process at the configured times.
+    """Kills, stops and slows this process at the configured times, to test the controller.
 
     Mutable state: the faults still to come.
     """
@@ -65,7 +65,7 @@ class ProcessFaults:
         ]
 
     def strike(self, now_ns: int) -> None:
-        """Apply the faults that are due."""
+        """Apply the faults that are due at now_ns."""
         for entry in list(self._left):
             at_ns, fault = entry
             if now_ns < at_ns:
@@ -84,7 +84,7 @@ class ProcessFaults:
 
 
 class Bench(NamedTuple):
-    """Drives on a substitute for the configured plant, and a callback for manual work on it."""
+    """Emulated drives with a plant other than the configured one, and a callback for manual work on it."""
 
     nodes: Nodes
     plant: Plant
@@ -101,11 +101,11 @@ def run_plant(
     ready: Callable[[], None] = lambda: None,
     bench: Bench | None = None,
 ) -> dict[str, Any]:
-    """Serve the drives until SIGINT, SIGTERM, SIGHUP, `duration_s`, or until the supervisor's pipe closes.
+    """Serve the drives until SIGINT, SIGTERM, SIGHUP, `duration_s`, or the supervisor's pipe closes.
 
-    An orphaned plant continues until its drives have stopped the platform, for at most ORPHAN_S. `bench`
-    takes the place of the configured plant.
-    Raises ConfigurationError, BusError, PlantError; RunError when another plant serves the bus.
+    supervisor: read end of a pipe that the supervising process holds open. An orphaned plant continues until
+    its drives have stopped the platform, for at most ORPHAN_S. `bench` takes the place of the configured
+    plant. Raises ConfigurationError, BusError, PlantError; RunError when another plant serves the bus.
     """
     c = configuration
     c.require("plant")
@@ -174,7 +174,7 @@ def run_plant(
 
 
 def _open_bus(c: Configuration, patience_s: float) -> Bus:
-    """Open the bus as its plant; wait up to `patience_s` for a predecessor whose daemon was killed."""
+    """Open the bus in the role `plant`; wait up to `patience_s` for an earlier plant that still ends."""
     end = time.monotonic() + patience_s
     while True:
         try:
@@ -186,7 +186,7 @@ def _open_bus(c: Configuration, patience_s: float) -> Bus:
 
 
 class _Stop:
-    """Reason to end, set by signals, which otherwise would cut the log. Mutable state: the reason."""
+    """Reason to end, set by signals, which otherwise would truncate the log. Mutable state: the reason."""
 
     def __init__(self) -> None:
         self.reason = ""

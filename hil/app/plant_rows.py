@@ -1,4 +1,4 @@
-"""Columns of the plant's log, and its rows in real time, which are written after the drives have answered."""
+"""Columns of the plant's log, and the writer of its rows in real time, after the drives have answered."""
 
 from collections.abc import Callable
 from functools import partial
@@ -57,7 +57,7 @@ Row = np.ndarray[Any, np.dtype[np.void]]
 
 
 def plant_row(number: int, s: Snapshot) -> Row:
-    """One row of PLANT."""
+    """Row `number` of the plant's log, from a snapshot of the plant."""
     row = np.zeros((), _ROW)
     truth = s.truth
     row[()] = (
@@ -69,7 +69,7 @@ def plant_row(number: int, s: Snapshot) -> Row:
 
 
 def plant_warnings(plant: Plant, recording: "Recording | None", t_ns: int) -> dict[str, list[str]]:
-    """Write what a plant reported into its log; return it for the summary, empty without any."""
+    """Write the warnings that a plant reported into its log; return them for the summary, empty without."""
     notes = plant.notes()
     if recording is not None:
         for note in notes:
@@ -78,13 +78,13 @@ def plant_warnings(plant: Plant, recording: "Recording | None", t_ns: int) -> di
 
 
 def at_rest(s: Snapshot) -> bool:
-    """True while no drive is powered and no leg moves."""
+    """True if no drive is powered and no leg moves."""
     powered = np.isin(s.state, (DriveState.READY, DriveState.RUN)).any()
     return not powered and float(np.abs(s.rate).max()) < REST_RATE_m_s
 
 
 class PlantRows:
-    """Rows of the plant's log: one per exchange of frames, and periodic ones while legs move.
+    """Writes the plant's log: a row per exchange of frames, and periodic rows while legs move.
 
     Mutable state: the last snapshot, the number of rows, the frames since then, whether legs move, and the
     time at which a row became due.
@@ -99,7 +99,7 @@ class PlantRows:
         self._due_ns: int | None = None
 
     def take(self, heard: Rows, sent: Rows, now_ns: int) -> None:
-        """Note the frames that the drives received and sent until now."""
+        """Store the frames that the drives received and sent until now_ns, for the next row."""
         if self._record is None:
             return
         self._heard += heard.tobytes()

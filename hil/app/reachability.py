@@ -1,4 +1,4 @@
-"""Check of the reference before anything moves: lengths, rates, forces and condition against the limits."""
+"""Checks the reference before motion: leg lengths, rates, forces and condition against the limits."""
 
 from math import ceil, inf
 from typing import NamedTuple
@@ -33,16 +33,16 @@ OTHER_UNIT = 50.0
 
 
 class Walk(NamedTuple):
-    """Sampled reference; rows are instants."""
+    """Leg motion and forces along the sampled reference; rows are instants."""
 
     t: Array
-    """(n,) s."""
+    """(n,) s, instants along the reference."""
     q: Array
-    """(n, 6) m."""
+    """(n, 6) m, leg lengths."""
     dq: Array
-    """(n, 6) m/s."""
+    """(n, 6) m/s, leg rates."""
     ddq: Array
-    """(n, 6) m/s^2."""
+    """(n, 6) m/s^2, leg accelerations."""
     tau: Array
     """(n, 6) N, forces of the drives."""
     rest: Array
@@ -68,7 +68,7 @@ class Walk(NamedTuple):
         return np.concatenate([t[:1], t, t[-1:]]), tau
 
     def steps(self) -> tuple[Array, Array]:
-        """Instants (n,) s and force steps (n, 6) N, each from the tick before.
+        """Instants (n,) s and force steps (n, 6) N, each the change from the tick before.
 
         A longer path is checked at its ends, at its knots, where accelerations may jump, and at `PAIRS`
         ticks.
@@ -91,7 +91,7 @@ class Walk(NamedTuple):
 
 
 class Violation(NamedTuple):
-    """First instant at which a limit is violated."""
+    """First instant at which a limit is violated, in s, with a message."""
 
     t: float
     message: str
@@ -103,7 +103,7 @@ class Violation(NamedTuple):
 def walk_kernel(
     a: Array, b: Array, c: Array, code: int, radius: float, samples: Array, found: Array, Js: Array
 ) -> None:
-    """Fill found (n, 25) and J (n, 36) at each of the samples (n, 24).
+    """Compute the leg motion found (n, 25) and J (n, 36) at each of the path's samples (n, 24).
 
     a, b (6, 3) m: base and platform joints. c, code: constants and code of the model, see
     `hil.robot.dynamics`. radius: m, scales rotations to displacements. Forces: `inverse_dynamics_kernel`.
@@ -132,7 +132,7 @@ def walk_kernel(
 
 
 def span_s(trajectory: Trajectory) -> float:
-    """Duration of the walk, s: one period of a path that repeats."""
+    """Duration, s, of the part of a path that is checked: one period of a path that repeats."""
     if isinstance(trajectory, PiecewisePolynomial):
         return trajectory.period_s
     return trajectory.duration_s or 0.0
@@ -146,7 +146,7 @@ def walk(
     period: float,
     plant: PlantSettings | None = None,
 ) -> Walk:
-    """Sample the reference over `span` s: once per `period` s, with at most SAMPLES samples.
+    """Leg motion and forces along the reference over `span` s: once per `period` s, at most SAMPLES samples.
 
     Leg forces: inverse dynamics of `model`, plus friction and reflected mass of our own plant. The bench
     plant has its own equation. Forces are nan where the path meets a singularity. Raises ModelError where it
@@ -206,7 +206,7 @@ def drive_forces(
 ) -> tuple[Array, Array]:
     """Forces tau and rest, each (n, 6) N, with the plant's own terms added to those of the rigid-body model.
 
-    The bench plant has its own equation, which ignores the given tau.
+    The plant of six springs has its own equation, which ignores the given tau.
     """
     if plant is not None and isinstance(plant.model, StewartPlant):
         m = plant.model
@@ -224,9 +224,9 @@ def drive_forces(
 
 
 def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, period: float) -> list[Violation]:
-    """First violation of each limit, in order of time.
+    """First violation of each limit on the sampled reference, in order of time; period: of the loop, s.
 
-    A path in another unit yields that violation only: the other limits have no meaning then.
+    A path in another unit yields only that violation: the other limits have no meaning then.
     """
     if float(w.q.max()) > OTHER_UNIT * platform.length_max_m:
         return [_other_unit(w, platform.length_max_m)]
@@ -262,7 +262,7 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
 
 
 def _other_unit(w: Walk, length_max_m: float) -> Violation:
-    """Violation of a path in another unit, at the first leg that would be too long."""
+    """Violation of a path in another unit, e.g. mm, at the first leg that would be too long."""
     k, leg = map(int, np.argwhere(w.q > OTHER_UNIT * length_max_m)[0])
     long = f"leg {leg} would be {w.q[k, leg]:.4g} m long, allowed: platform.length_max_m {length_max_m:g}"
     return Violation(float(w.t[k]), f"{IN_MM}. {long}", IN_MM)

@@ -1,4 +1,4 @@
-"""Reading of a log: the whole, or a cut one as far as it goes."""
+"""Reads a log; a truncated log as far as it is readable."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -13,7 +13,7 @@ MOST_RATE_HZ = 1e5
 
 
 class Readable(NamedTuple):
-    """Log that can be read to its end."""
+    """A log with its readable rows, and a remark on missing parts."""
 
     log: Log
     rows: Rows
@@ -23,11 +23,10 @@ class Readable(NamedTuple):
 
 
 def readable(path: Path, columns: Collection[str] = ()) -> Readable:
-    """Read a log.
+    """Read a log, as far as it is readable.
 
-    columns: the needed ones, as far as the log has them; empty: all.
-
-    Raises LogError: the file is missing, not a log of this product, or damaged.
+    columns: names of the needed columns, as far as the log has them; empty: all. Raises LogError: the file is
+    missing, not a log of this product, or damaged.
     """
     log = Log(path)
     rows = log.rows(*(column.name for column in log.columns if column.name in columns))
@@ -35,7 +34,7 @@ def readable(path: Path, columns: Collection[str] = ()) -> Readable:
 
 
 def lacking(log: Log) -> str:
-    """Missing parts of a log, as a sentence; empty for a log that its run has closed."""
+    """Sentence about the missing parts of a log; empty for a log that its run has closed."""
     if log.cut:
         return f"the log is {log.cut.partition(' (')[0]}"
     found = []

@@ -1,4 +1,4 @@
-"""Files of a log in place of the files that its configuration refers to."""
+"""Files attached to a log, in place of the files that its configuration refers to."""
 
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -13,7 +13,7 @@ from hil.app.configuration.configuration import Configuration
 
 @contextmanager
 def attached(configuration: Configuration, files: Mapping[str, bytes]) -> Iterator[Configuration]:
-    """Yield `with_attachments` in a temporary folder; the configuration itself if it refers to no file.
+    """Yield a configuration whose files come from a log, in a temporary folder; unchanged without files.
 
     Raises LogError, as `with_attachments`; OSError where the temporary folder cannot be written.
     """
@@ -25,12 +25,12 @@ def attached(configuration: Configuration, files: Mapping[str, bytes]) -> Iterat
 
 
 def with_attachments(configuration: Configuration, files: Mapping[str, bytes], folder: Path) -> Configuration:
-    """Configuration with the files of a log in place of those that it refers to.
+    """Configuration whose files come from a log instead of the disk; they are written to `folder`.
 
-    The files are written to `folder`, and replay reads only these, even where the product ships one of the
-    same name. A planned reference is not among them: `build_cycle` takes it directly.
+    Replay reads only these files, even where the product ships a file of the same name. A planned reference
+    is not among them: `build_cycle` takes it directly.
 
-    Raises LogError where the configuration refers to a file that the log does not carry.
+    Raises LogError where the configuration refers to a file that the log does not have.
     """
     changes: dict[str, Any] = {}
     for name, section, key, kind, _ in NAMED_FILES:

@@ -1,4 +1,4 @@
-"""`hil replay`: feed a log's recorded inputs through the same code, and compare to the bit."""
+"""`hil replay`: feeds a log's recorded inputs to the controller, and compares its outputs bit by bit."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -32,7 +32,7 @@ _DRAWN = "`hil plot` draws its columns"
 
 
 def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
-    """A log of `hil run` or `hil sim`, the metadata of its run, and its configuration.
+    """(log, metadata, configuration) of a log of `hil run` or `hil sim`.
 
     Raises LogError: the file is not such a log, or has columns that this version cannot read.
     """
@@ -42,7 +42,7 @@ def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
 
 
 def refuse_unread(log: Log) -> None:
-    """Refuse a log with columns that this version cannot read. Raises LogError."""
+    """Raise LogError if a log has columns that this version cannot read."""
     there = {c.name: (c.kind, c.shape) for c in log.columns}
     other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
     if other:
@@ -88,7 +88,7 @@ def run_of(log: Log, path: Path, needed: Iterable[str] = MOST) -> dict[str, Any]
 
 
 def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[str, Any], Configuration]:
-    """A log that this version can replay, the metadata of its run, and its configuration.
+    """(log, metadata, configuration) of a log that this version can replay.
 
     The code of a law in a file runs only if the disk has the same file and this user has run it before, or
     with `trust_code`.
@@ -114,9 +114,9 @@ def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[
 
 
 def law_of_log(c: Configuration, log: Log, run: dict[str, Any], *, trust_code: bool) -> Configuration:
-    """Configuration of a log, with its law loaded where the law is a file.
+    """Configuration of a log, with its law loaded where the law is in a Python file.
 
-    Raises LogError: the disk lacks the file that the log carries, or this user has never run it from a
+    Raises LogError: the disk lacks the file that the log contains, or this user has never run it from a
     configuration; `trust_code` permits both.
     """
     if not isinstance(c.controller, UnreadLaw):
@@ -141,7 +141,7 @@ def replay_log(
     `progress` is called with the number of ticks done, every 1000 ticks. `trust_code`: see `open_replayable`.
 
     Raises LogError: the file is not such a log, or has other columns or another protocol; OSError: the files
-    that it carries cannot be written to the temporary folder.
+    that it contains cannot be written to the temporary folder.
     """
     log, run, configuration = open_replayable(path, trust_code=trust_code)
     with attached(configuration, log.attachments) as configuration:
@@ -165,9 +165,9 @@ def replay_log(
 
 
 def _check_counts(log: Log, comparison: Comparison) -> None:
-    """Add ticks that the log's index or end counts but that are missing to the gaps.
+    """Add ticks to the gaps that the log's index or end counts, but that are missing in the log.
 
-    A cut log has no such counts. Raises LogError: index or end count fewer ticks than there are.
+    A truncated log has no such counts. Raises LogError: index or end count fewer ticks than the log has.
     """
     if log.cut or comparison.gaps:
         return
@@ -190,7 +190,7 @@ def measured(result: dict[str, Any], path: Path, lost: str = "", *, check_replay
     """Add the figures of a log and its replay to the summary of the run; return the log's rows.
 
     lost: known reason why the log is incomplete; an unreadable log is then expected. A log that cannot be
-    read or replayed makes the run a failure. The caller judges differences of the replay.
+    read or replayed makes the run a failure. The caller evaluates differences of the replay.
     """
     try:
         rows = Log.open(path).rows()
@@ -223,7 +223,7 @@ def _other_version(log: Log, difference: str, what: str) -> LogError:
 
 
 def summary(comparison: Comparison, wall_s: float, logged_s: float) -> dict[str, Any]:
-    """Comparison as plain values."""
+    """Comparison of a replay with its log, as plain values; wall_s, logged_s: durations, s."""
     return {
         "exact": comparison.exact,
         "equivalent": comparison.equivalent,

@@ -1,4 +1,4 @@
-"""`hil.sim`: a simulation from Python, with changes to its configuration."""
+"""`hil.sim`: simulates a configuration from Python, with changes to its keys."""
 
 import os
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ from hil.record.log import Log
 
 @dataclass(frozen=True)
 class Run:
-    """Run that has ended."""
+    """A simulation that has ended: its log and its summary."""
 
     log: Log
     """The log of the run."""
@@ -30,7 +30,7 @@ class Run:
 
     @property
     def success(self) -> bool:
-        """True if it parked without a fault and, if requested, the log replayed exactly."""
+        """True if the run parked without a fault and, if requested, the log replayed exactly."""
         return bool(self.summary["success"])
 
 
@@ -46,7 +46,7 @@ def sim(
     check_replay: bool = True,
     **changes: Any,
 ) -> Run:
-    """Run both ends of the bus in lockstep, in simulated time, as `hil sim` does.
+    """Simulate a configuration in lockstep, both ends of the bus in simulated time, as `hil sim` does.
 
     Parameters
     ----------

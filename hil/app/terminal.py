@@ -1,4 +1,4 @@
-"""Untrusted text on a terminal: control and reordering characters are shown as escapes."""
+"""Makes untrusted text safe for a terminal: control and reordering characters are shown as escapes."""
 
 import unicodedata
 
@@ -23,7 +23,7 @@ def visible(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Text as `visible`, in one line of limited length."""
+    """Text with control characters escaped, in one line of limited length."""
     more = len(text) - LONGEST
     end = f" ... and {more} more characters" if more > 0 else ""
     return visible(text[:LONGEST].replace("\n", "\\n")) + end

@@ -1,4 +1,4 @@
-"""Acceleration of the legs at home by forces and an uncertain payload, and the tolerance safety needs for it.
+"""Accelerations of the legs at home by forces and an uncertain payload, and the tolerance for safety.
 
 A step dF of the forces in frames leaves e'' + K_D e' + K_P e = d with |d| <= |P| dF. P (6, 6) 1/kg is the
 acceleration of the legs per force. At rest |e| <= |P| dF / K_P, leg by leg.
@@ -29,9 +29,9 @@ class UnknownPayload(NamedTuple):
     leg: float
     """m/s^2, largest acceleration of a leg by an uncertain payload under the model's holding forces."""
     position: float
-    """m/s^2, the same of a coordinate of the platform's position."""
+    """m/s^2, largest acceleration by it of a coordinate of the platform's position."""
     rotation: float
-    """rad/s^2, the same of a rotation of the platform."""
+    """rad/s^2, largest angular acceleration of the platform by it."""
     holding_N: Array
     """(6,) N, largest holding force of each leg at home."""
 

@@ -1,1 +1,1 @@
-"""From parts to a machine: bring-up, identification, calibration, learning."""
+"""Tools that commission a real machine: bring-up, identification, calibration and learning."""

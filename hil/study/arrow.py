@@ -1,4 +1,4 @@
-"""Arrow schemas with units and meanings; need pyarrow, an extra."""
+"""Arrow schemas whose columns carry units and meanings; needs the optional package pyarrow."""
 
 import json
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from drivers.errors import LogError
 
 
 class Column(NamedTuple):
-    """A column of a table."""
+    """A column of a table: its name, type, unit and meaning."""
 
     name: str
     kind: str
@@ -19,7 +19,7 @@ class Column(NamedTuple):
 
 
 def arrow(what: str) -> tuple[Any, ModuleType]:
-    """Import pyarrow and pyarrow.parquet. Raises LogError: not installed; the message begins with `what`."""
+    """Import pyarrow and pyarrow.parquet. Raises LogError if not installed; `what` names the feature."""
     try:
         import pyarrow as pa  # noqa: PLC0415
         from pyarrow import parquet  # noqa: PLC0415
@@ -31,7 +31,7 @@ def arrow(what: str) -> tuple[Any, ModuleType]:
 
 
 def schema(pa: Any, columns: Sequence[Column], **attributes: Any) -> Any:
-    """Arrow schema of columns. A DataFrame read from the file has units and meanings in `attrs`."""
+    """Arrow schema of columns; a pandas DataFrame read from such a file has units and meanings in `attrs`."""
     kinds = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
     kinds["name"] = pa.dictionary(pa.int32(), pa.string())
     fields = [

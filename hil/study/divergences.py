@@ -1,4 +1,4 @@
-"""Differences between two sides, column by column: as plain values, as a sentence, as a table."""
+"""Shows differences between two recordings by column: as plain values, a sentence or a table."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ Sides = tuple[str, str]
 
 
 def fields(found: ColumnDivergence, sides: Sides) -> dict[str, Any]:
-    """Difference in one column as plain values."""
+    """Difference in one column as plain values for a JSON summary; sides: names of the two recordings."""
     column = found.column
     return {
         "column": column.name,
@@ -24,7 +24,7 @@ def fields(found: ColumnDivergence, sides: Sides) -> dict[str, Any]:
 
 
 def place(found: ColumnDivergence, at: Place | None, sides: Sides) -> dict[str, Any] | None:
-    """Place of a difference, with both values, as plain values."""
+    """First or largest difference as plain values: tick, time, s, element, and both values; None: none."""
     if at is None:
         return None
     where = {"tick": at.tick, "time_s": at.time_s, "element": at.label, "unit": at.unit}
@@ -32,7 +32,7 @@ def place(found: ColumnDivergence, at: Place | None, sides: Sides) -> dict[str, 
 
 
 def sentence(at: dict[str, Any], sides: Sides) -> str:
-    """Place of a difference as a sentence."""
+    """First or largest difference as a sentence with tick, time and both values."""
     values = ", ".join(f"{side.replace('_', '-')} {at[side]}" for side in sides)
     return f"tick {at['tick']} ({at['time_s']:.3f} s): {at['element']}: {values} {at['unit']}".rstrip()
 
@@ -43,7 +43,7 @@ def show(
     more: Sequence[Column] = (),
     style: Callable[[dict[str, Any]], str] = lambda _: "",
 ) -> None:
-    """Print one line per column; the table columns `more` come before the unit."""
+    """Print a table of differing columns; the table columns `more` come before the unit."""
 
     def first(key: str) -> Callable[[dict[str, Any]], str]:
         return lambda each: "-" if each["first"] is None else _short(str(each["first"][key]))

@@ -1,4 +1,4 @@
-"""`hil export`: frames and columns of a log as files; the file ending selects the format.
+"""`hil export`: writes frames and columns of a log to files; the file ending selects the format.
 
 An existing file is overwritten only on request, and no file is left half written.
 """
@@ -30,7 +30,7 @@ LINES, GROUP = 1024, 16_384
 
 
 def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
-    """Write columns or components (no names: all); return the number of rows.
+    """Write columns or components of a log (no names: all) to a CSV file; return the number of rows.
 
     The header has each name with its unit, `tau.leg_3 [N]`; enumerations and flags are written by name.
 
@@ -48,7 +48,7 @@ def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
 
 
 def write_parquet(log: Log, path: Path, names: Sequence[str]) -> int:
-    """Write columns or components (no names: all); return the number of rows.
+    """Write columns or components of a log (no names: all) to a Parquet file; return the number of rows.
 
     Each field carries `unit` and `meaning`; a DataFrame read from the file has them in `attrs`, like
     `Log.frame`. Enumerations and flags are written by name.
@@ -72,7 +72,7 @@ def write_parquet(log: Log, path: Path, names: Sequence[str]) -> int:
 
 
 def _columns(log: Log, parts: Sequence[Component], size: int) -> Iterator[list[np.ndarray[Any, Any]]]:
-    """Yield time and components as arrays (n,), n about `size`; enumerations and flags by name."""
+    """Yield times, s, and components as arrays (n,), n about `size`; enumerations and flags by name."""
     for rows in row_groups(log, parts, size):
         columns: list[np.ndarray[Any, Any]] = [(rows["t_ns"] - log.origin_ns) * 1e-9]
         for part in parts:
@@ -95,7 +95,7 @@ SIGNALS: dict[str, Callable[[Log, Path, Sequence[str]], int]] = {
 
 
 def utc_ns(text: str) -> int:
-    """UTC, ns, of an instant in ISO 8601; without offset it is UTC. Raises LogError: not an instant."""
+    """UTC, ns since 1970, of an ISO 8601 instant, UTC without offset. Raises LogError: not an instant."""
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
@@ -115,7 +115,7 @@ def export_log(
     columns: Sequence[str] = (),
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Write frames or columns of a log into files; return the summary. Each ending selects the format.
+    """Write frames or columns of a log into files; return the summary. Each file ending selects the format.
 
     `start` is the UTC instant of the first tick, for frames; default: from the log. `columns` are columns or
     components for CSV, Parquet and Rerun; default: all. A truncated log is written up to its last readable
@@ -174,9 +174,9 @@ def _check(outs: Sequence[Path], *, start: str | None, columns: Sequence[str], o
 
 
 def _write_frames(log: Log, path: Path, form: str, shift_ns: int) -> int:
-    """Write all frames, shifted from the log's UTC; return their number. Raises LogError: damaged log.
+    """Write all CAN frames of a log; return their number. Raises LogError if the log is damaged.
 
-    A frame logged more than a second after its time comes later in the file, with its own time.
+    shift_ns: added to UTC. A frame logged more than a second late comes later, with its own time.
     """
     writer = WRITERS[form](path, log.can_channels)
     offset, count = log.epoch_ns + shift_ns, 0

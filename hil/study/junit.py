@@ -1,4 +1,4 @@
-"""JUnit XML, for CI servers, of commands that judge many cases."""
+"""Writes JUnit XML reports, for CI servers, of commands that check many cases."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,7 +10,7 @@ from hil.app.files import Kind, new_file, write_whole
 
 
 class Verdict(NamedTuple):
-    """One case."""
+    """Result of one test case in a JUnit report."""
 
     group: str
     name: str
@@ -24,13 +24,13 @@ class Verdict(NamedTuple):
 
 
 def check_junit_path(path: Path) -> None:
-    """Check early that the report can be written; it replaces an earlier report. Raises LogError."""
+    """Check before a run that its JUnit report can be written, over an earlier one. Raises LogError."""
     report = Kind("a JUnit report", lambda there: b"<testsuite" in there.read_bytes()[:1000])
     new_file(path, option="--junit", own=report)
 
 
 def write_junit(path: Path, name: str, cases: Iterable[Verdict], wall_s: float | None = None) -> None:
-    """Write cases as one suite. Raises LogError: the file cannot be written."""
+    """Write test cases as one suite of a JUnit report. Raises LogError if the file cannot be written."""
     suite = ET.Element("testsuite", name=_plain(name))
     for case in cases:
         entry = ET.SubElement(suite, "testcase", classname=_plain(case.group), name=_plain(case.name))

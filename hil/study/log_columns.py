@@ -1,4 +1,4 @@
-"""Columns of a log by name, differences of two columns, and the plots of Rerun and the report."""
+"""Selects columns of a log by name, differences of two columns, and the plots of viewer and report."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ DIFFERENCE = " - "
 
 
 class Curve(NamedTuple):
-    """One number over time: a component, or the difference of two."""
+    """One number over time: an element of a log column, or the difference of two elements."""
 
     label: str
     """`tau.leg_3`, or `q_d.leg_3 - q.leg_3`."""
@@ -27,23 +27,23 @@ class Curve(NamedTuple):
     """Subtracted component."""
 
     def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[Any]]:
-        """Values (n,) in rows."""
+        """Values (n,) of this curve in n rows of the log."""
         with np.errstate(invalid="ignore", over="ignore"):
             return self.part.of(rows) - self.less.of(rows) if self.less else self.part.of(rows)
 
     @property
     def title(self) -> str:
-        """Label with its unit."""
+        """Label with its unit, e.g. `tau.leg_3 [N]`."""
         return titled(self.label, self.unit)
 
 
 def titled(label: str, unit: str) -> str:
-    """Label with its unit, `tau.leg_3 [N]`."""
+    """Label with its unit, e.g. `tau.leg_3 [N]`."""
     return f"{label} [{unit}]" if unit else label
 
 
 def curves(columns: Sequence[Column], name: str, log: str = "") -> list[Curve]:
-    """Curves of `column`, `column.element` or `one - other`; one for each element.
+    """Curves of `column`, `column.element` or `one - other`; one curve per element.
 
     Raises LogError: unknown column or element (the message names the log), or a difference of columns that
     differ in shape or unit, or whose values have names.
@@ -62,7 +62,7 @@ def curves(columns: Sequence[Column], name: str, log: str = "") -> list[Curve]:
 
 
 def named_columns(names: Iterable[str]) -> set[str]:
-    """Columns that occur in curve names, as `curves` takes them."""
+    """Log columns that occur in curve names such as `q_d - q` or `tau.leg_3`."""
     sides = (side for name in names for side in name.split(DIFFERENCE))
     return {side.strip().partition(".")[0] for side in sides}
 
@@ -81,7 +81,7 @@ def has_pose(rows: Rows, p: str, R: str) -> NDArray[np.bool_]:
 
 
 def row_groups(log: Log, parts: Sequence[Component], size: int) -> Iterator[Rows]:
-    """Yield `tick`, `t_ns` and the components' columns, at least `size` rows at a time.
+    """Yield `tick`, `t_ns` and the components' columns of a log, at least `size` rows at a time.
 
     Raises LogError: damaged log.
     """
@@ -120,7 +120,7 @@ NAMED_FIRST = ("mode", "command_mode", "faults", "warnings", "drive_state")
 
 
 class Plot(NamedTuple):
-    """Curves of one plot."""
+    """Curves of one plot of the viewer or the report, and the tab that shows it."""
 
     tab: str
     title: str
@@ -128,7 +128,7 @@ class Plot(NamedTuple):
 
 
 def plots(columns: Sequence[Column]) -> list[Plot]:
-    """List the plots of TABS with at least one curve; curves of missing columns are left out."""
+    """Plots of TABS with at least one curve; curves of columns missing in the log are left out."""
     there = {c.name for c in columns}
     found = []
     for tab, titles in TABS.items():
@@ -141,12 +141,12 @@ def plots(columns: Sequence[Column]) -> list[Plot]:
 
 
 def differences(columns: Sequence[Column]) -> list[Curve]:
-    """Curves that are no columns of a log: the differences."""
+    """Curves of the plots that are differences of two log columns."""
     return [curve for plot in plots(columns) for curve in plot.curves if curve.less]
 
 
 def states(columns: Sequence[Column]) -> list[Column]:
-    """Columns whose values have names, the most important ones first."""
+    """Log columns whose values have names (enumerations, flags), the most important ones first."""
     named = {c.name: c for c in columns if c.names}
     first = [named.pop(name) for name in NAMED_FIRST if name in named]
     return [*first, *named.values()]

@@ -1,4 +1,4 @@
-"""`hil replay --against OTHER LOG`: compare two logs column by column, tick by tick."""
+"""`hil replay --against OTHER_LOG`: compares two logs column by column, tick by tick."""
 
 import time
 from collections.abc import Collection, Iterator, Sequence
@@ -26,7 +26,7 @@ MOVED = MOVING - {Mode.RELEASING}
 
 
 class Origin(NamedTuple):
-    """Tick and time from which a log is counted."""
+    """Tick number and time, ns, from which the ticks of a log are counted."""
 
     tick: int
     t_ns: int
@@ -35,7 +35,7 @@ class Origin(NamedTuple):
 def against(
     path: Path, golden: Path, words: Sequence[str] = (), *, align: Alignment = "tick"
 ) -> dict[str, Any]:
-    """Compare two logs; key `success` is True if they agree within the tolerances.
+    """Compare two logs; key `success` of the result is True if they agree within the tolerances.
 
     words : tolerances, as `tau=0.5`. align : `tick` compares rows of the same tick number; `motion` counts
     ticks from the first motion of the platform. `t_ns` counts from the log's first row or from that tick.
@@ -119,9 +119,9 @@ def _columns(one: Log, other: Log) -> tuple[list[Column], tuple[list[str], list[
 def read_tolerances(
     words: Sequence[str], columns: Sequence[Column], uncompared: Collection[str] = ()
 ) -> tuple[float, dict[str, float]]:
-    """Tolerances: the relative one of all float columns without their own, and absolute ones by column.
+    """(relative tolerance of all float columns without their own, {column: absolute tolerance}).
 
-    words : `tau=0.5`, `compute_ns=inf` (not judged), or `1e-9`, the relative tolerance. columns : compared
+    words : `tau=0.5`, `compute_ns=inf` (not compared), or `1e-9`, the relative tolerance. columns : compared
     columns. uncompared : names of columns in one log only or of different types; their tolerances are
     ignored, so that the same words fit logs of any release. The tolerance of `tick` is the number of ticks
     that one log may lack.
@@ -164,7 +164,7 @@ def _number(text: str, words: str) -> float:
 
 
 def first_motion(log: Log) -> Origin:
-    """First tick in which the platform moves. Raises LogError: it never moves."""
+    """First tick in which the platform moves. Raises LogError if it never moves."""
     for rows in log.blocks("tick", "t_ns", "mode"):
         moving = rows[np.isin(rows["mode"], [int(mode) for mode in MOVED])]
         if len(moving):
@@ -182,7 +182,7 @@ def _numbers(log: Log, origin: Origin) -> Ints:
 
 
 def _common(log: Log, names: tuple[str, ...], origin: Origin, numbers: Ints) -> Iterator[Rows]:
-    """Yield the rows with these tick numbers (n,), which are sorted; `t_ns` counts from the origin."""
+    """Yield the rows whose tick numbers, counted from `origin`, are in `numbers` (n,), sorted."""
     for rows in log.blocks(*names):
         own = rows["tick"] - origin.tick
         found = rows[numbers[np.searchsorted(numbers[:-1], own)] == own]
@@ -192,7 +192,7 @@ def _common(log: Log, names: tuple[str, ...], origin: Origin, numbers: Ints) -> 
 
 
 def paired(one: Iterator[Rows], other: Iterator[Rows]) -> Iterator[tuple[Rows, Rows]]:
-    """Pair the rows of two sides. Both have equally many rows, in blocks of any size."""
+    """Yield pairs of equally long blocks of rows from two logs with equally many rows."""
     a, b = next(one, None), next(other, None)
     while a is not None and b is not None:
         n = min(len(a), len(b))
@@ -206,13 +206,13 @@ def _allowed(value: float) -> float | str:
 
 
 def show(result: dict[str, Any]) -> None:
-    """Print one line for each column that differs; nothing if none differs."""
+    """Print one line for each log column that differs; nothing if no column differs."""
     allowed = table.Column("allowed", _tolerance)
     divergences.show(result["columns"], SIDES, [allowed], lambda each: "red" if each["diverges"] else "")
 
 
 def shown(result: dict[str, Any]) -> dict[str, Any]:
-    """Fields of the result that the terminal shows below the table."""
+    """Fields of a comparison that the terminal shows below the table."""
     first = next((each["first"] for each in result["columns"] if each["diverges"]), None)
     kept = {key: value for key, value in result.items() if not key.endswith(("tolerance", "tolerances"))}
     return kept | {

@@ -1,4 +1,4 @@
-"""`hil plot`: columns of one or several logs, one panel above the other, in a PNG or SVG file."""
+"""`hil plot`: draws columns of one or several logs into a PNG or SVG file, one panel per column."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ _PANEL_IN = 2.8
 
 
 class Curve(NamedTuple):
-    """One number of one log over time."""
+    """One number of one log over time, as drawn by `hil plot`."""
 
     label: str
     log: int
@@ -113,7 +113,7 @@ def _path(log: Path, out: Path | None, *, force: bool) -> Path:
 
 
 def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, title: str) -> None:
-    """Draw the panels, one above the other; the ending of the path selects the format.
+    """Draw panels of curves, one above the other; the ending of the path selects PNG or SVG.
 
     Raises LogError: the file cannot be written.
     """
@@ -166,7 +166,7 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
 
 
 def _bits(curve: Curve) -> list[Curve]:
-    """One curve for each bit that is set in at least one value."""
+    """One curve for each flag that is set in at least one value."""
     values = curve.values.astype(np.int64)
     return [
         curve._replace(label=text, values=((values & bit) > 0).astype(np.float64))

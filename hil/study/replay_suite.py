@@ -1,4 +1,4 @@
-"""`hil replay --suite DIR`: replay every log of a folder, one case per log."""
+"""`hil replay --suite DIR`: replays every log of a folder; each log is one test case."""
 
 import time
 from collections import Counter
@@ -22,7 +22,7 @@ Outcome = Literal["pass", "fail", "skipped"]
 
 
 class Case(NamedTuple):
-    """Result of one log."""
+    """Result of replaying one log of a suite."""
 
     log: str
     """Path as found in the folder."""
@@ -35,7 +35,7 @@ class Case(NamedTuple):
 
 
 def logs_in(folder: Path) -> list[Path]:
-    """MCAP files in a folder and its subfolders, sorted. Raises LogError: no such folder, or no such file."""
+    """MCAP files in a folder and its subfolders, sorted. Raises LogError if folder or files are missing."""
     if not folder.is_dir():
         raise LogError(f"--suite {folder}: no such folder")
     found = sorted(path for path in folder.rglob("*.mcap") if path.is_file())
@@ -45,7 +45,7 @@ def logs_in(folder: Path) -> list[Path]:
 
 
 def run_suite(paths: Sequence[Path], jobs: int | None, progress: Progress | None) -> Iterator[Case]:
-    """Yield one case per log, in the order of completion. jobs : number of processes."""
+    """Replay logs in `jobs` processes; yield one result per log, in the order of completion."""
     return perform(paths, replay_case, died, jobs, progress)
 
 
@@ -74,12 +74,12 @@ def _replayed(path: Path) -> Case:
 
 
 def died(path: Path) -> Case:
-    """Case of a log whose process died."""
+    """Result for a log whose replaying process died."""
     return Case(str(path), "fail", "its process died")
 
 
 def summary(folder: Path, cases: Sequence[Case], wall_s: float) -> dict[str, Any]:
-    """Summary of the cases (key `success`: none failed). Raises LogError: none was replayed."""
+    """Summary of a suite of replayed logs (`success`: none failed). Raises LogError: none was replayed."""
     count = Counter(case.verdict for case in cases)
     if count["skipped"] == len(cases):
         raise LogError(
@@ -102,7 +102,7 @@ def summary(folder: Path, cases: Sequence[Case], wall_s: float) -> dict[str, Any
 
 
 def show(folder: Path, cases: Sequence[Case]) -> None:
-    """Print one line per log."""
+    """Print a table with one line per log of the suite."""
     columns = (
         Column("log", lambda case: _within(folder, case), left=True),
         Column("verdict", lambda case: "FAIL" if case.verdict == "fail" else case.verdict, left=True),
@@ -114,7 +114,7 @@ def show(folder: Path, cases: Sequence[Case]) -> None:
 
 
 def verdicts(folder: Path, cases: Sequence[Case]) -> Iterator[Verdict]:
-    """Yield one JUnit case per log; a skipped log passes, with the reason as its output."""
+    """Yield one JUnit test case per log; a skipped log passes, with the reason as its output."""
     for case in sorted(cases):
         place = Path(_within(folder, case))
         yield Verdict(

@@ -1,4 +1,4 @@
-"""Tables of results on the terminal."""
+"""Prints tables of results on the terminal."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ class Terminal(Console):
 
 
 class Column(NamedTuple):
-    """One column of a table."""
+    """One column of a table on the terminal: title, text of its cells, alignment and width."""
 
     title: str
     cell: Callable[[Any], object]
@@ -38,7 +38,7 @@ def print_rows(
     rows: Iterable[Any],
     style: Callable[[Any], str] = lambda _: "",
 ) -> None:
-    """Print titles and rows; nothing if there are no rows. style : style of a row."""
+    """Print a table with titles; nothing if there are no rows. style : rich style of a row."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column in columns:
         table.add_column(column.title, justify="left" if column.left else "right", max_width=column.width)
@@ -63,7 +63,7 @@ def _print(table: Table) -> None:
 
 
 def figure(value: Any, form: str = "") -> str:
-    """Figure in a format, by default as in summaries; `-` for None and NaN."""
+    """Number as text, by default formatted as in summaries; `-` for None and NaN."""
     if value is None or value != value:  # noqa: PLR0124 - nan
         return "-"
     return format(value, form) if form else number(value)

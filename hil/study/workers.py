@@ -1,4 +1,4 @@
-"""Run one function on many jobs, in separate processes or on another executor."""
+"""Runs one function on many jobs, in separate processes or on another executor."""
 
 import os
 import signal
@@ -31,11 +31,11 @@ def perform(
     progress: Progress | None,
     total: int | None = None,
 ) -> Iterator[Outcome]:
-    """Yield the outcome of every job, in the order of completion; `progress` is called before each.
+    """Run `function` on every job; yield outcomes in the order of completion.
 
     function : in a module that a fresh interpreter can import. died : outcome of a job whose process dies.
     jobs : number of processes, default one per processor; 1 runs the jobs in this process, where a crash ends
-    the command. total : number of jobs, if `work` is an iterator.
+    the command. progress : called before each outcome. total : number of jobs, if `work` is an iterator.
     """
     if total is None:
         assert isinstance(work, Sized)
@@ -49,7 +49,7 @@ def perform(
 
 
 def counted(outcomes: Iterator[Outcome], total: int, progress: Progress | None) -> Iterator[Outcome]:
-    """Yield `total` outcomes; `progress` is called before each."""
+    """Yield `total` outcomes; before each, `progress` is called with the number finished and `total`."""
     for n in range(total):
         if progress is not None:
             progress(n, total)
@@ -64,10 +64,10 @@ def batch(
     ahead: int,
     lost_error: type[BaseException],
 ) -> Iterator[Outcome]:
-    """Yield the outcome of every job. Jobs lost with a dead process run again, one at a time.
+    """Run `function` on every job in an executor; yield outcomes. Lost jobs run again, one at a time.
 
     At most `ahead` jobs are submitted at once: a million jobs are not made in advance, and a dead process
-    loses few. lost_error : exception of the future of a lost job. Other exceptions propagate.
+    loses few. died : outcome of a job lost twice. lost_error : exception of a lost job. Others propagate.
     """
     rest = iter(work)
     lost: list[Job] = []
@@ -101,7 +101,7 @@ def batch(
 
 @contextmanager
 def processes(count: int, function: Callable[[Job], Outcome]) -> Iterator[ProcessPoolExecutor]:
-    """Start processes that are killed at once if anything fails, instead of finishing their jobs.
+    """Pool of `count` processes that are killed at once if anything fails, instead of finishing their jobs.
 
     They are forked from a fresh interpreter, so that they hold no locks of this one. They block Ctrl-C, which
     a terminal sends to all of them: this process handles it and ends them.

@@ -1,1 +1,1 @@
-"""`hil check`: figures and warnings of a configuration before anything moves."""
+"""`hil check`: prints figures and warnings about a configuration before anything moves."""

@@ -1,4 +1,4 @@
-"""`hil check CONFIG`: figures and warnings of a configuration before anything moves."""
+"""`hil check CONFIG`: prints figures and warnings about a configuration before anything moves."""
 
 from collections.abc import Callable
 
@@ -16,11 +16,11 @@ SECTIONS: tuple[Callable[[Report], None], ...] = (
 
 
 def inspect(c: Configuration, tell: Callable[[float, float], None] = lambda *_: None) -> Report:
-    """Report on a configuration and its whole reference.
+    """Report of `hil check` on a configuration and its whole reference.
 
-    tell: progress callback, called with checked and total seconds of the reference.
-    Raises ConfigurationError: each limit that the reference violates, with the first instant; PlantError: an
-    FMU that cannot be hosted.
+    tell: progress callback, called with checked and total seconds of the reference. Raises
+    ConfigurationError: each limit that the reference violates, with the first instant; PlantError: an FMU
+    that cannot be hosted.
     """
     report = Report(looked_at(c, tell))
     for section in SECTIONS:
@@ -40,10 +40,10 @@ def refuse_unreachable(c: Configuration) -> None:
 
 
 def stopping_distances_m(c: Configuration) -> tuple[float, float]:
-    """Longest travel of a leg on the reference, m: after silence until its brake holds, in a controlled stop.
+    """Longest leg travels on the reference, m: after silence until the brake holds; in a controlled stop.
 
-    Drives without a watchdog set by this program have no bound of their own: the first value then assumes a
-    reaction within `drives.watchdog_ms`. Raises ConfigurationError as `inspect`.
+    Silence: commands no longer reach the drives. Drives whose watchdog this program does not set have no
+    bound; a reaction within `drives.watchdog_ms` is assumed then. Raises ConfigurationError as `inspect`.
     """
     *_, w = course(c)
     return reacted_to(c, w).travel_m(w), controlled_stop_m(c, w)

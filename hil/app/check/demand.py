@@ -1,4 +1,4 @@
-"""Demands on the legs by bus silence, speed changes, jogs, probe pushes and a learned feed-forward."""
+"""Demands on the legs by lost commands, speed changes, jogs, probe pushes and a learned feed-forward."""
 
 from itertools import product
 from math import ceil, radians, sqrt
@@ -37,7 +37,7 @@ STEEPEST = 1.875
 
 
 class Silence(NamedTuple):
-    """Travel of a leg with speed v after the bus falls silent: v T + a T^2 / 2."""
+    """Travel of a leg with speed v after its drive receives no more commands: v T + a T^2 / 2."""
 
     T: float
     """drives.watchdog_ms and engage.brake_close_s: time until the brakes hold the legs, s."""
@@ -45,13 +45,13 @@ class Silence(NamedTuple):
     """The larger of the acceleration on the path and the one without force, m/s^2."""
 
     def travel_m(self, w: Walk) -> float:
-        """Longest travel on the path, m: from the top speed."""
+        """Longest travel of a leg after silence on the path, m: from the top speed."""
         return float(self._travel(np.abs(w.dq)).max())
 
     def beyond(self, w: Walk, length_min_m: float, length_max_m: float) -> dict[str, float] | None:
-        """Largest overrun of a hard end on the path; None if every leg stops before.
+        """Largest overrun of a hard end after silence on the path; None if every leg stops before.
 
-        Keys: instant t, leg, travel_m until its brake holds, and free_m before the end.
+        Keys: instant t, s, leg, travel_m until its brake holds, and free_m before the end of the stroke.
         """
         travel = np.stack((self._travel(np.maximum(-w.dq, 0.0)), self._travel(np.maximum(w.dq, 0.0))))
         free = np.stack((w.q - length_min_m, length_max_m - w.q))
@@ -74,16 +74,16 @@ class SpeedChange(NamedTuple):
 
     acceleration_m_s2: float
     added_m_s2: float
-    """Part of it by (d sigma/dt) dq_d."""
+    """Part of the acceleration by (d sigma/dt) dq_d."""
     force_N: float
     step_N: float
-    """From tick to tick, in addition to the reference."""
+    """Force change from tick to tick, N, in addition to that of the reference."""
     felt_m_s2: float
     """|J M^-1 J^T tau|: acceleration on which an error of the model's inertia and weight acts."""
 
 
 def speed_change(c: Configuration, w: Walk, trajectory: Trajectory, model: Model, span: float) -> SpeedChange:
-    """Demand of a speed change within engage.stop_s. span: duration of the walk, s."""
+    """Largest demand of a speed change within engage.stop_s. span: duration of the reference, s."""
     T, period = c.engage.stop_s, 1.0 / c.loop.rate_Hz
     rate, curvature = PEAK / T, CURVATURE / T**2
     rows = np.unique(np.linspace(0, len(w.t) - 1, MOST).astype(np.int64))
@@ -124,7 +124,7 @@ class JogDemand(NamedTuple):
 
 
 def jog_demand(c: Configuration, trajectory: Trajectory, model: Model, span: float) -> JogDemand:
-    """Demand of jogs. span: duration of the walk, s."""
+    """Largest demand of jogs from the reference. span: duration of the reference, s."""
     admission, still, platform = build_admission(c, model.platform), np.zeros(6), model.platform
     speeds = c.operator.setup_speed_m_s, radians(c.operator.setup_speed_deg_s)
     plant = None if c.plant is None else c.plant.model
@@ -145,9 +145,9 @@ def jog_demand(c: Configuration, trajectory: Trajectory, model: Model, span: flo
 def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
     """Message on a probe push that a limit clips, or that moves a free leg too far; None: no such push.
 
-    A push is added to the path's force: without friction in both directions, with friction at once. A free
-    leg is pushed for a time t until its motion is seen, and the law takes as long to stop it. It moves by up
-    to push A t^2.
+    A probe push is a short force that tests whether a resting encoder still works. It is added to the path's
+    force: without friction in both directions, with friction at once. A free leg is pushed for a time t until
+    its motion is seen, and the law takes as long to stop it. It moves by up to push A t^2.
     """
     if limits.watched_legs == 0:
         return None
@@ -181,22 +181,22 @@ def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
 
 
 class Learned(NamedTuple):
-    """Learned feed-forward: its source, and its largest effects where it is wrong."""
+    """Learned feed-forward forces: their source, and their largest effects if they are wrong."""
 
     head: FeedforwardHead
     start_s: float
     end_s: float
     peak_N: float
     pushed_m_s2: float
-    """Acceleration of a leg."""
+    """Largest acceleration of a leg by a wrong feed-forward, m/s^2."""
     along_N: float
-    """Largest change per tick."""
+    """Largest force change per tick along the reference, N."""
     fading_N: float
-    """Largest change per tick while it fades."""
+    """Largest force change per tick while the feed-forward fades, N."""
 
 
 def learned(c: Configuration, mobility: Array) -> Learned | None:
-    """Learned feed-forward of section `feedforward`. mobility: (6, 6) 1/kg of the robot at home."""
+    """Learned feed-forward of section `feedforward`; None without. mobility: (6, 6) 1/kg at home."""
     settings = c.feedforward
     if settings is None:
         return None

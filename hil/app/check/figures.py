@@ -1,4 +1,4 @@
-"""Figures that `hil check` prints, section by section."""
+"""Figures that `hil check` prints, one function per section of its report."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ PUSH = 0.01
 
 
 def robot(r: Report) -> None:
-    """Add lengths and forces at home."""
+    """Add leg lengths, static forces and the condition number at home to the report."""
     s = r.s
     home = pose_arrays(s.c.platform.home)
     q = leg_lengths(s.model.platform, *home)
@@ -46,7 +46,7 @@ def robot(r: Report) -> None:
 
 
 def bus(r: Report) -> None:
-    """Add the time budget of each bus."""
+    """Add the time budget of each bus to the report."""
     s, c = r.s, r.s.c
     names = zip(c.bus.buses, bus_names(c.bus), strict=True)
     titles = [f"bus {each.interface} {name}, layout {c.bus.layout}" for each, name in names]
@@ -86,7 +86,7 @@ def bus(r: Report) -> None:
 
 
 def drives(r: Report) -> None:
-    """Add watchdog, brakes and force resolution."""
+    """Add watchdog, brakes and force resolution of the drives to the report."""
     s, c = r.s, r.s.c
     silence, ramp_s = c.reactions.silence, c.engage.force_ramp_s
     watched, ends = s.protocol.traits.has_watchdog, silence in {"damp", "hold"}
@@ -126,7 +126,7 @@ def drives(r: Report) -> None:
 
 
 def transmission(r: Report) -> None:
-    """Add turns, speed and torque of each leg's motor."""
+    """Add turns, speed and torque of each leg's motor to the report."""
     c = r.s.c
     if c.drives.transmission is None:
         return
@@ -157,7 +157,7 @@ def transmission(r: Report) -> None:
 
 
 def controller(r: Report) -> None:
-    """Add law, model and margins."""
+    """Add control law, model and stability margins to the report."""
     s = r.s
     r.add("controller", "law {c.controller.law}\nmodel {variant}", variant=s.variant or None)
     if s.switches:
@@ -176,7 +176,7 @@ def controller(r: Report) -> None:
 
 
 def stability(r: Report) -> None:
-    """Add the result of the stability proof, in one line."""
+    """Add the result of the stability proof to the report, in one line."""
     from hil.app.stability.command import judge  # noqa: PLC0415 - scipy, which `hil run` and `hil sim` do without
 
     found = r.s.proven = judge(r.s.c, tell=r.s.tell)
@@ -191,7 +191,7 @@ def stability(r: Report) -> None:
 
 
 def reference(r: Report) -> None:
-    """Add the demands of the reference, and the travel of stops."""
+    """Add the demands of the reference on the legs, and the travel of stops, to the report."""
     s, c, w = r.s, r.s.c, r.s.walk
     swings, whole_s = w.swings(s.period_s), s.trajectory.duration_s
     r.figures["reference"] = figures = {
@@ -237,7 +237,7 @@ def reference(r: Report) -> None:
 
 
 def operating(r: Report) -> None:
-    """Add the demands of speed changes and jogs, and whether a key must be held."""
+    """Add the demands of speed changes and jogs, and the dead-man key, to the report."""
     s = r.s
     if s.slowed is not None and s.jogged is not None:
         r.figures["speed_change"] = s.slowed._asdict()
@@ -261,7 +261,7 @@ def operating(r: Report) -> None:
 
 
 def payload(r: Report) -> None:
-    """Add the effect of the payload's ranges on legs, limits and safety."""
+    """Add the effect of the payload's ranges on leg forces, limits and safety to the report."""
     s = r.s
     along = carried(s)
     if not along:
@@ -291,7 +291,7 @@ def payload(r: Report) -> None:
 
 
 def feedforward(r: Report) -> None:
-    """Add source and size of the feed-forward, and its effect on the certificate."""
+    """Add source and size of the learned feed-forward, and its effect on the stability monitor."""
     f, settings = r.s.learned, r.s.c.feedforward
     if f is None or settings is None:
         return
@@ -367,7 +367,7 @@ def plant(r: Report) -> None:
 
 
 def permissions(r: Report) -> None:
-    """Add the real-time rights on this machine."""
+    """Add the real-time rights of this machine to the report."""
     with real_time_rights(r.s.c.loop.priority, r.s.c.loop.cpu) as granted:
         r.s.fifo = granted.fifo
     r.figures["real_time"] = {"granted": granted.granted, "missing": granted.missing}

@@ -1,4 +1,4 @@
-"""Leg axes that cross: mostly a joint list in another order."""
+"""Detects leg axes that cross, mostly because a list of joints is in the wrong order."""
 
 from itertools import combinations
 
@@ -16,7 +16,7 @@ INSTANTS = 101
 
 
 def crossing(s: Subject) -> str:
-    """Pair of legs whose axes come nearest, if too near; legs that share a joint do not count."""
+    """Text about the two legs whose axes come nearest, if too near; else "". Shared joints do not count."""
     a, b = s.model.platform.base_joints, s.model.platform.platform_joints
     ends = s.span_s * (1 - 1e-12)
     path = [s.trajectory.sample(t)[:2] for t in np.linspace(0.0, ends, INSTANTS).tolist()]

@@ -1,4 +1,4 @@
-"""How the legs of an FMU answer pushes, compared with the controller's model: order, signs, size."""
+"""Compares how the legs of an FMU and of the controller's model respond to pushes: order, sign, size."""
 
 from itertools import permutations
 from math import sqrt
@@ -19,9 +19,9 @@ from plant_fmu.fmu.probe import Probe
 UNLIKE = 0.1
 """Relative difference of two responses, each scaled to length 1, from which on they are not the same."""
 LIKE = 0.3
-"""The same, up to which another order may explain a response."""
+"""Relative difference up to which another order of legs may explain a response."""
 OTHER = 0.05
-"""Relative difference of accelerations that is worth a warning."""
+"""Relative difference of accelerations above which `hil check` warns."""
 _ORDERS = np.array(list(permutations(range(LEGS))))
 _SHIFTED = [((np.arange(LEGS) + k) % LEGS != _ORDERS).sum(axis=1) + (k > 0) for k in range(LEGS)]
 _COSTS = np.min(_SHIFTED, axis=0)
@@ -29,17 +29,17 @@ _COSTS = np.min(_SHIFTED, axis=0)
 
 
 class Match(NamedTuple):
-    """The order and signs of legs at which one response is most like another."""
+    """Order and signs of the legs under which one response matrix is most like another."""
 
     keys: int
-    """What is reordered: 0 forces and outputs, 1 forces, 2 outputs."""
+    """Reordered keys of the FMU: 0 forces and outputs, 1 forces, 2 outputs."""
     order: Ints
-    """(6,): a leg of the first answers as this leg of the second."""
+    """(6,): leg k of the first matrix responds like leg order[k] of the second."""
     sign: Array
     """(6,) 1 or -1."""
 
     def undo(self, K: Array) -> Array:
-        """Put a response K (6, 6) into the order and signs of the second."""
+        """Reorder a response matrix K (6, 6) into the order and signs of the other matrix."""
         back = np.argsort(self.order)
         if self.keys == 0:
             return K[np.ix_(back, back)]
@@ -47,10 +47,10 @@ class Match(NamedTuple):
 
 
 def match(K: Array, K0: Array) -> Match:
-    """Find the order and signs that make a response K (6, 6) most like K0 at any scale.
+    """Find the order and signs of legs that make a response K (6, 6) most like K0 at any scale.
 
     Tried are all orders of both rows and columns, and of either with its best signs. Of those that fit about
-    best the one with the fewest mistakes is taken, and the given order and signs unless they fit far worse.
+    best, the one with the fewest mistakes is taken, and the given one unless it fits far worse.
     """
     by_force = np.einsum("ab,anb->nb", K, K0[:, _ORDERS])
     by_rate = np.einsum("ab,nab->na", K, K0[_ORDERS])
@@ -74,7 +74,7 @@ def _unlike(K: Array, K0: Array) -> float:
 
 
 def model_mobility(c: Configuration) -> Array:
-    """J M^-1 J^T (6, 6) 1/kg of the controller's model where the plant starts."""
+    """Mobility J M^-1 J^T (6, 6) 1/kg of the legs by the controller's model, at the plant's start pose."""
     pose = pose_arrays(start_pose(c))
     platform = build_platform(c.platform)
     model = Model(platform, leg_spin=c.platform.leg_spin, reflected_mass=believed_mass_kg(c))
@@ -84,7 +84,7 @@ def model_mobility(c: Configuration) -> Array:
 
 
 def findings(found: Probe, K0: Array) -> list[str]:
-    """Sentences on what is odd about the response of an FMU. K0: (6, 6) 1/kg, that of the model."""
+    """Sentences on implausible responses of an FMU to pushes. K0: (6, 6) 1/kg, mobility of the model."""
     K, uncoupled = found.mobility, bool(found.uncoupled)
     still = np.flatnonzero(~K.any(axis=0) | ~K.any(axis=1))
     if len(still):

@@ -1,4 +1,4 @@
-"""Limits far above what the path and its disturbances need: they would show a failure late.
+"""Finds limits far above what the path and its disturbances need: they would detect a failure late.
 
 The need of a limit covers the path, speed changes, jogs, the stated disturbance, pushes and noise.
 """
@@ -26,9 +26,9 @@ QUINTIC_PEAK = 1.875
 SHARES = (0.01, 0.025)
 """Smallest and largest need of a leg error, as shares of the stroke, for every law."""
 READING_m = 1e-5
-"""Least noise of a length reading."""
+"""Least noise of a length reading, m."""
 GIVE_m = 1e-4
-"""Yield of a brake under load."""
+"""Yield of a brake under load, m."""
 ACTS = 2.0
 """Ratio of the largest possible change of a force to the largest force."""
 SKEW = 0.1
@@ -38,7 +38,7 @@ NOTHING = 1e-9
 
 
 class Need(NamedTuple):
-    """Need of a limit, in its unit; None: unknown."""
+    """Smallest useful value of a limit, in its unit, and its cause; None: unknown."""
 
     needed: float | None
     unit: str
@@ -47,7 +47,7 @@ class Need(NamedTuple):
 
 
 def loose(s: Subject) -> list[Mapping[str, object]]:
-    """Limits that exceed their need by more than their factor, with a proposal."""
+    """Limits that exceed their need by more than their factor, with a proposed value."""
     found: list[Mapping[str, object]] = []
     for name, (needed, unit, by, factor) in needs(s).items():
         value: float | None = getattr(s.c.limits, name)
@@ -60,7 +60,7 @@ def loose(s: Subject) -> list[Mapping[str, object]]:
 
 
 def needs(s: Subject) -> dict[str, Need]:
-    """Need of each key of section `limits`: its smallest useful value."""
+    """Smallest useful value of each key of section `limits`."""
     c, swings, stroke_m = s.c, s.walk.swings(s.period_s), s.stroke_m
     disturbed_N = c.monitor.disturbance_m_s2 * s.leg_mass_kg
     most_N = ACTS / FACTOR * min(c.limits.force_N, c.drives.force_limit_N)

@@ -14,14 +14,14 @@ SCALES = {"milli": 1e3, "micro": 1e6, "percent": 1e2}
 
 
 class NothingError(Exception):
-    """A line needs a figure that is missing."""
+    """A line of the report needs a figure that is missing."""
 
 
 class Scaled(Formatter):
     """`str.format` with the formats `{x_m:milli.3f} mm`, `{t_s:micro.0f} us` and `{share:percent.3g} %`."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Format a value in the requested unit. Raises NothingError for None."""
+        """Format a value in the unit of `format_spec`. Raises NothingError for None."""
         if value is None:
             raise NothingError
         unit, rest = re.fullmatch("(milli|micro|percent)?(.*)", format_spec).groups()  # type: ignore[union-attr]
@@ -30,7 +30,7 @@ class Scaled(Formatter):
 
 @dataclass
 class Report:
-    """Figures of a configuration, in sections, and warnings."""
+    """Report of `hil check`: figures of a configuration, in sections, and warnings."""
 
     s: Subject
     sections: dict[str, list[str]] = field(default_factory=dict)
@@ -53,12 +53,12 @@ class Report:
 
     @property
     def lines(self) -> list[str]:
-        """The whole report as text."""
+        """The whole report as text lines."""
         text = [f"configuration {self.s.c.name}"]
         for title, lines in self.sections.items():
             text += [title, *(f"  {line}" for line in lines)]
         return text + [f"warning: {w}" for w in self.warnings]
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as plain values, for JSON."""
+        """The report as plain values, for `--json`."""
         return {"configuration": self.s.c.name, "figures": self.figures, "warnings": self.warnings}

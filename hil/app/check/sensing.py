@@ -1,4 +1,4 @@
-"""Figures that `hil check` prints about the monitor, the encoders and the fused pose."""
+"""Figures that `hil check` prints about the stability monitor, the encoders and the fused pose."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from plant_fmu.config import FmuPlant
 
 
 def monitor(r: Report) -> None:
-    """Add whether the law has a certificate, and the reaction to its violation."""
+    """Add whether the law has a Lyapunov certificate, and the reaction to its violation, to the report."""
     s = r.s
     dynamics, action = certified(s.c.controller), s.c.monitor.action
     r.figures["monitor"] = {"watched": not isinstance(dynamics, str), "action": action}
@@ -41,7 +41,7 @@ def monitor(r: Report) -> None:
 
 
 def encoders(r: Report) -> None:
-    """Add the limits of the encoder rules, and the error that each undetectable fault leaves.
+    """Add the limits of the encoder rules, and the length error that each undetectable fault leaves.
 
     The limits hold at rest and at constant force; motion and force widen them.
     """
@@ -112,7 +112,7 @@ def encoders(r: Report) -> None:
 
 
 def fusion(r: Report) -> None:
-    """Add standard deviations of lengths, rates and unknown forces, if the pose is fused."""
+    """Add standard deviations of lengths, rates and unknown forces to the report, if the pose is fused."""
     c = r.s.c
     if c.estimation.pose != "fused":
         return

@@ -1,4 +1,4 @@
-"""Subject of `hil check`: a configuration, the walk along its reference, and values derived from both."""
+"""Data of `hil check`: a configuration, the motion along its reference, and values derived from both."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -55,11 +55,11 @@ if TYPE_CHECKING:
 
 
 LEAST_MARGIN_DEG = 30.0
-"""Of phase."""
+"""Phase margin, degrees, below which `hil check` warns."""
 
 
 def course(c: Configuration) -> tuple[Model, Trajectory, float, Walk]:
-    """Robot, reference, its checked duration in s, and the walk along it.
+    """(robot, reference, its checked duration in s, leg motion along it) of a configuration.
 
     Raises ConfigurationError with each violated limit and its first instant.
     """
@@ -88,7 +88,7 @@ def course(c: Configuration) -> tuple[Model, Trajectory, float, Walk]:
 
 
 def rough_rows(c: Configuration) -> str:
-    """Reason in the rows of a CSV file why the path moves more than they mean, or ""."""
+    """Reason why the rows of a CSV reference make the path rougher than intended; "" without."""
     if not isinstance(c.reference, SampledReference):
         return ""
     rough = roughness(*read_poses(c.folder / c.reference.path, at_least=2))
@@ -96,25 +96,25 @@ def rough_rows(c: Configuration) -> str:
 
 
 def refused(c: Configuration, *messages: str, path: Path = ("reference",)) -> ConfigurationError:
-    """Error that points at a key of the file, or at its nearest ancestor there."""
+    """Error that points at a key of the configuration file, or at its nearest ancestor there."""
     position = parse(c.text).key_position(path)
     return ConfigurationError(*(Problem(position, path, each).line(c.source) for each in messages))
 
 
 def robot(c: Configuration) -> Model:
-    """Robot with the model's payload."""
+    """Robot of a configuration with the payload of the controller's model."""
     return Model(build_platform(c.platform), leg_spin=c.platform.leg_spin)
 
 
 def static_N(c: Configuration, model: Model) -> Array:
-    """Forces (6,) N that hold the platform at home."""
+    """Leg forces (6,) N, pushing positive, that hold the platform at home."""
     still = np.zeros(6)
     return model.inverse_dynamics(*pose_arrays(c.platform.home), still, still)
 
 
 @dataclass
 class Subject:
-    """A configuration, and values that several figures and warnings share, computed once.
+    """A configuration, and values that several figures and warnings of `hil check` share, computed once.
 
     The sections of the report set `proven`, `fifo`, and `probe` to `notes`.
     """
@@ -131,12 +131,12 @@ class Subject:
     probe: "Probe | None" = None
     """Response of the user's own FMU to small pushes; None for another plant."""
     tool: str = ""
-    """Generation tool of that FMU."""
+    """Tool that generated the FMU."""
     needs_tool: bool = False
     unfit_step: str = ""
-    """What is wrong with its communication steps, by its description."""
+    """Problem with the communication step by the FMU's description; empty without."""
     notes: list[str] = field(default_factory=list)
-    """What it reported."""
+    """Messages that the FMU has reported."""
     fifo: bool = True
     """True if this machine grants SCHED_FIFO."""
 
@@ -178,12 +178,12 @@ class Subject:
 
     @property
     def switches(self) -> bool:
-        """True if the law switches between two forces without a boundary layer."""
+        """True if the control law switches between two forces without a boundary layer."""
         return self.dynamics is not None and bool(np.isinf(self.dynamics.K_D.max()))
 
     @property
     def margin(self) -> dict[str, float] | None:
-        """Phase margin of the law, and its loss by delay and wrench observer; None where unknown."""
+        """Phase margin of the law, and its loss by delay and wrench observer; None if unknown."""
         if self.dynamics is None or self.switches:
             return None
         K_P, K_D, delay_s = float(self.dynamics.K_P.max()), float(self.dynamics.K_D.max()), self.delay.total_s
@@ -202,7 +202,7 @@ class Subject:
 
     @cached_property
     def designed(self) -> "LoopFinding | None":
-        """Margins of a designed controller with the loop's delay; None for another law."""
+        """Margins of a designed controller (`state_space`) with the loop's delay; None for another law."""
         law = self.c.controller
         controller = controller_of(law, self.c.folder)
         if controller is None or not isinstance(law, StateSpaceSettings):
@@ -213,12 +213,12 @@ class Subject:
 
     @cached_property
     def answers_us(self) -> list[float]:
-        """Bus time of SYNC or polls and the feedback frames, one value for each bus."""
+        """Bus time, us, of SYNC or polls and the feedback frames, one value for each bus."""
         return [1e-3 * ns for ns in answered_ns(self.c)]
 
 
 def looked_at(c: Configuration, tell: Callable[[float, float], None] = lambda *_: None) -> Subject:
-    """Subject of a configuration. Raises ConfigurationError as `course`."""
+    """Data of `hil check` for a configuration. Raises ConfigurationError as `course`."""
     return Subject(c, tell, *course(c))
 
 
@@ -228,7 +228,7 @@ def controlled_stop_m(c: Configuration, w: Walk) -> float:
 
 
 def reacted_to(c: Configuration, w: Walk) -> Silence:
-    """Travel of the legs after silence, with a reaction within drives.watchdog_ms."""
+    """Travel of the legs after commands are lost, with a reaction within drives.watchdog_ms."""
     home, still = pose_arrays(c.platform.home), np.zeros(6)
     a = float(np.abs(w.ddq).max())
     for corner in corners(c.platform):
@@ -248,9 +248,9 @@ def setpoint_peaks(c: Configuration, reference: LiveReference, model: Model) -> 
 
 
 def carried(s: Subject) -> list[tuple[Array, Walk]]:
-    """Forces (6,) N at home and the walk, for each corner of the payload's ranges; empty without ranges.
+    """Static forces (6,) N and motion along the reference, for each corner of the payload's ranges.
 
-    Raises ConfigurationError with the limits that a payload violates.
+    Empty without ranges. Raises ConfigurationError with the limits that a payload violates.
     """
     c, found = s.c, []
     by_limit: dict[str, list[tuple[Violation, str]]] = {}
@@ -267,7 +267,7 @@ def carried(s: Subject) -> list[tuple[Array, Walk]]:
 
 
 def _violated(found: list[tuple[Violation, str]]) -> str:
-    """Message about a limit that payloads violate, with the earliest violation."""
+    """Message about one limit that payloads violate, with the earliest violation."""
     first, words = min(found)
     more = f" and {len(found) - 1} other corners of the ranges" if len(found) > 1 else ""
     return (
@@ -277,7 +277,7 @@ def _violated(found: list[tuple[Violation, str]]) -> str:
 
 
 def answered_ns(c: Configuration) -> list[int]:
-    """Bus time of SYNC or polls and the feedback frames, ns, one value for each bus."""
+    """Bus time, ns, of SYNC or polls and the feedback frames, one value for each bus."""
     protocol = build_protocol(c)
     traits = protocol.traits
     opening = sent_frames(protocol.controller_end(drive_setup(c, c.loop.rate_Hz)).begin(0))

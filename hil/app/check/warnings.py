@@ -1,4 +1,4 @@
-"""Warnings of `hil check` about settings that are allowed but dangerous, one row each."""
+"""Warnings of `hil check` about settings that are allowed but dangerous, one table row per warning."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
@@ -50,7 +50,7 @@ Values = Mapping[str, object]
 
 
 class Warning(NamedTuple):  # noqa: A001 - the word of the command
-    """Warning: a condition and a sentence.
+    """One warning of `hil check`: a condition and a sentence.
 
     `found` returns the values that the sentence needs besides the subject `s` and its configuration `c`:
     figures, or `text`, or `True`. A list yields several sentences; a false value means that the setting is
@@ -62,7 +62,7 @@ class Warning(NamedTuple):  # noqa: A001 - the word of the command
 
 
 def warnings(s: Subject) -> Iterator[tuple[str, str]]:
-    """Yield code and sentence of each warning that applies."""
+    """Yield code and sentence of each warning that applies to a configuration."""
     for code, row in (WARNINGS if s.c.bus.layout == "ideal" else HARDWARE | WARNINGS).items():
         found = row.found(s)
         for each in found if isinstance(found, list) else [found]:
@@ -72,13 +72,13 @@ def warnings(s: Subject) -> Iterator[tuple[str, str]]:
 
 
 def above(value: float | None, limit: float | None) -> Values | None:
-    """Figures of a value above its limit; None where it is not above, or one of them is missing."""
+    """{value, limit} of a value above its limit; None if it is not above, or one of the two is missing."""
     broken = value is not None and limit is not None and value > limit
     return {"value": value, "limit": limit} if broken else None
 
 
 def below(value: float | None, limit: float | None) -> Values | None:
-    """Figures of a value below its limit; None where it is not below, or one of them is missing."""
+    """{value, limit} of a value below its limit; None if it is not below, or one of the two is missing."""
     return None if above(limit, value) is None else {"value": value, "limit": limit}
 
 
@@ -150,14 +150,14 @@ def _felt(s: Subject) -> Values | None:
 
 
 def _unbraked(s: Subject) -> Values | None:
-    """Deceleration before the soft ends that no available force can reach."""
+    """Configured deceleration before the soft ends, if far above what the legs' forces can reach."""
     able = (min(s.c.limits.force_N, s.c.drives.force_limit_N) - s.weight_N) / s.leg_mass_kg
     times = s.c.limits.deceleration_m_s2 / able if able > 0.0 else 0.0
     return {"times": times, "able": able, "give": lowered(able)} if times > FACTOR else None
 
 
 def falls(c: Configuration) -> str:
-    """Warning that a plant without brakes falls before the first command; empty where it does not."""
+    """Warning that a plant without brakes falls before the first command; "" if it does not fall."""
     if c.plant is None or not isinstance(c.plant.model, FmuPlant) or c.plant.model.brake:
         return ""
     load_N = float(np.abs(static_N(c, robot(c))).max())
@@ -171,26 +171,26 @@ def falls(c: Configuration) -> str:
 
 
 def _uncoupled(s: Subject) -> dict[str, float] | None:
-    """Largest mass of uncoupled legs, if the law assumes a platform between them."""
+    """Largest mass, kg, of uncoupled FMU legs, if the law assumes a platform between them."""
     if s.probe is None or not s.probe.uncoupled or s.c.controller.believed is None:
         return None
     return {"m": float(1.0 / np.abs(s.probe.mobility).max(axis=0).min())}
 
 
-_NOISE = "give the largest deviation of a reading, 3 to 4 standard deviations"
+_NOISE = "set the largest deviation of a reading, 3 to 4 standard deviations"
 _KEY = (
     "operator.deadman_s {value:g}: %s, and the platform stops if one key frame is late or "
-    "lost; give {limit:.3g} or more"
+    "lost; set {limit:.3g} or more"
 )
 
 HARDWARE = {
     "loop.feedback_window_us": Warning(
         lambda s: above(max(s.answers_us), s.window_us),
-        "loop.feedback_window_us {limit:.0f}: SYNC and feedbacks take {value:.0f} us, so legs will be stale",
+        "loop.feedback_window_us {limit:.0f}: SYNC and feedback take {value:.0f} us of bus time; lengthen it",
     ),
     "reactions.silence": Warning(
         lambda s: s.c.reactions.silence == "zero",
-        "reactions.silence zero: after silence the load of {s.weight_N:.0f} N a leg is not held; write brake",
+        "reactions.silence zero: without commands nothing holds {s.weight_N:.0f} N in a leg; set brake",
     ),
     "reactions sto": Warning(
         lambda s: ", ".join(str(fault.name).lower() for fault in s.c.reactions.led_to("sto")),
@@ -233,7 +233,7 @@ HARDWARE = {
     ),
     "plant.model.brake_force_N": Warning(
         lambda s: above(s.weight_N, None if s.stewart is None else s.stewart.brake_force_N),
-        "plant.model.brake_force_N {limit:g}: the emulated brakes slip under {value:.3g} N; give yours",
+        "plant.model.brake_force_N {limit:g}: the brakes slip under a leg's load of {value:.3g} N; set yours",
     ),
     "plant.drives brake times": Warning(
         lambda s: " and ".join(
@@ -241,7 +241,7 @@ HARDWARE = {
             for key in ("brake_open_ms", "brake_close_ms")
             if s.c.plant is not None and getattr(s.c.plant.drives, key) == 0.0
         ),
-        "{text} 0: the emulated brakes act at once, unlike real ones; give the times of your brakes",
+        "{text} 0: the emulated brakes act at once, unlike real ones; set the times of your brakes",
     ),
     "drives.force_limit_N": Warning(
         lambda s: (
@@ -249,17 +249,17 @@ HARDWARE = {
             and above(s.c.drives.force_limit_N / s.c.limits.force_N, UNSTATED)
         ),
         "drives.force_limit_N is missing, and {c.drives.force_limit_N:.0f} N are assumed, {value:.0f} "
-        "times limits.force_N {c.limits.force_N:g}: give the rated force of your drives",
+        "times limits.force_N {c.limits.force_N:g}: set the rated force of your drives",
     ),
     "limits": Warning(
         loose,
         "limits.{name} {value:g} is {times:.1f} times the {needed:.3g} {unit} that are needed {by}; it would "
-        "show a failure late, give {give:g}",
+        "detect a failure late, set {give:g}",
     ),
     "limits.deceleration_m_s2": Warning(
         _unbraked,
         "limits.deceleration_m_s2 {c.limits.deceleration_m_s2:g} is {times:.1f} times the {able:.3g} m/s^2 "
-        "by which limits.force_N can brake a leg before a hard end; give {give:g}",
+        "by which limits.force_N can brake a leg before a hard end; set {give:g}",
     ),
     "loop.without_realtime": Warning(
         lambda s: "" if s.fifo else RATELESS[s.c.loop.without_realtime],
@@ -271,7 +271,7 @@ HARDWARE = {
 
 
 def _unknown(name: str) -> str:
-    """List of the known interfaces for an unknown one; empty for a known one."""
+    """Message with the known bus interfaces for an unknown one; empty for a known one."""
     if name in {"localcan", "socketcan"}:
         return ""
     from drivers.can.python_can import unknown_interface
@@ -319,7 +319,7 @@ WARNINGS = {
     "controller.uncertainty.acceleration_m_s2": Warning(
         _felt,
         "controller.uncertainty.acceleration_m_s2 {limit:g}: a change of speed needs {value:.3g} m/s^2 "
-        "without the law's linear part; give at least that",
+        "without the law's linear part; set at least that",
     ),
     "operator.deadman_s of hil ctl": Warning(
         lambda s: below(s.c.operator.deadman_s, SEVERAL * REPEAT_S),
@@ -331,7 +331,7 @@ WARNINGS = {
     ),
     "operator.deadman_s in ticks": Warning(
         lambda s: below(s.c.operator.deadman_s, SEVERAL / s.c.loop.rate_Hz),
-        "operator.deadman_s {value:g}: fewer than three ticks of the loop; give {limit:.3g} or more",
+        "operator.deadman_s {value:g}: fewer than three ticks of the loop; set {limit:.3g} or more",
     ),
     "limits.force_N on the reference": Warning(
         lambda s: s.peak_N > 0.9 * s.c.limits.force_N,

@@ -1,1 +1,1 @@
-"""The configuration: one YAML file, composed of each package's own sections."""
+"""The configuration of robot, bus, controller and plant: one YAML file, one section per package."""

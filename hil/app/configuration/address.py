@@ -1,4 +1,4 @@
-"""Address of a controller, read without composing the whole configuration.
+"""Reads the bus address of a running controller from a configuration, without checking the whole file.
 
 Checking a whole file imports laws and mathematics, and takes a second. An emergency stop must not wait for
 that, and a wrong value in another section must not block it.
@@ -13,7 +13,7 @@ from hil.app.configuration.yaml_positions import parse
 
 
 class Address(NamedTuple):
-    """Bus and reference kind, which an operator's command needs."""
+    """Bus of a controller and kind of its reference, which operator commands need."""
 
     bus: BusAddress
     live: bool
@@ -21,7 +21,7 @@ class Address(NamedTuple):
 
 
 def address(path: str | Path) -> Address:
-    """Read the address from a file, or by the name of a shipped configuration.
+    """Read the bus address from a configuration file, or from a shipped configuration by its name.
 
     A text that is not a mapping with these keys is loaded as a whole. Raises ConfigurationError with all
     problems found.

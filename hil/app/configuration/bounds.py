@@ -29,12 +29,12 @@ Finding = tuple[Path, str]
 
 
 def step_key(plant: PlantSettings) -> str:
-    """Key of the plant's step in its section `model`."""
+    """Key of the plant's integration step in section `plant.model`, by type of the plant."""
     return "step_us" if isinstance(plant.model, FmuPlant) else "internal_step_us"
 
 
 def fitted(plant: PlantSettings, loop: LoopSettings) -> PlantSettings:
-    """Plant section with a step that divides the period; unchanged if the file sets the step."""
+    """Plant section whose step divides the loop's period; unchanged if the file sets the step."""
     key = step_key(plant)
     if key in plant.model.model_fields_set:
         return plant
@@ -47,19 +47,19 @@ def fitted(plant: PlantSettings, loop: LoopSettings) -> PlantSettings:
 
 
 class MissingSectionError(Exception):
-    """A rule needs a section that is not valid by itself."""
+    """A rule needs a section of the configuration that is not valid by itself."""
 
 
 class Sections(SimpleNamespace):
     """The sections of a configuration that are valid by themselves."""
 
     def __getattr__(self, name: str) -> Any:
-        """Raise MissingSectionError."""
+        """Raise MissingSectionError for a section that is not valid by itself."""
         raise MissingSectionError(name)
 
 
 def bounds(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Values beyond a bound that other keys set."""
+    """Yield (key, problem) for each value beyond a bound that other keys set."""
     for relation, table in (("at least", AT_LEAST), ("at most", AT_MOST), ("less than", LESS_THAN)):
         for key, (bound_of, what) in table.items():
             with suppress(MissingSectionError):
@@ -75,7 +75,7 @@ def bounds(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def _values(at: Any, words: list[str], path: Path = ()) -> Iterator[tuple[Path, float]]:
-    """Numbers at a key, with their paths; of a pair of numbers the larger one."""
+    """Numbers at a key, with their paths; `*` stands for all entries; of a pair of numbers the larger one."""
     if at is None:
         return
     if not words:
@@ -90,7 +90,7 @@ def _values(at: Any, words: list[str], path: Path = ()) -> Iterator[tuple[Path, 
 
 
 def exclusions(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Values that other keys exclude."""
+    """Yield (key, problem) for each value that other keys exclude."""
     for key, (wrong, sentence) in EXCLUSIONS.items():
         with suppress(MissingSectionError):
             if wrong(c):
@@ -107,7 +107,7 @@ def _half_stroke_m(c: Sections) -> float:
 
 
 def _quarter_m(c: Sections) -> float:
-    """A quarter of the leg length that belongs to the drives' `forgotten_turns`; inf without homing."""
+    """A quarter of the leg length, m, that belongs to `forgotten_turns` of the drives; inf without homing."""
     homing, gear = c.drives.homing, c.drives.transmission
     if homing is None or gear is None:
         return inf

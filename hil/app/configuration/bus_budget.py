@@ -1,4 +1,4 @@
-"""Bus time of a configuration's frames, and the check that the frames of a tick fit."""
+"""Computes the bus time of a configuration's frames, and checks that the frames of a tick fit."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -19,7 +19,7 @@ _SET_UP_BYTES = 8
 
 
 class BusBudget(NamedTuple):
-    """Bus time of the frames of one tick."""
+    """Bus time of the frames of one tick, and the load that it makes at the loop's rate."""
 
     frames: Counter[tuple[int, int]]
     """Number of frames by data length and flags, as in `Frame`."""
@@ -31,21 +31,21 @@ class BusBudget(NamedTuple):
 
     @property
     def load_percent(self) -> float:
-        """Share of the tick's period that the frames take."""
+        """Share of the tick's period that the frames take, %."""
         return self.total_ns * 1e-9 * self.rate_Hz * 100.0
 
     @property
     def highest_rate_Hz(self) -> float:
-        """Rate at which the frames fill the bus."""
+        """Loop rate, Hz, at which the frames fill the bus."""
         return 1e9 / self.total_ns if self.total_ns else float("inf")
 
     @property
     def allowed_rate_Hz(self) -> float:
-        """Rate at which the frames reach the allowed load."""
+        """Loop rate, Hz, at which the frames reach the allowed bus load."""
         return self.highest_rate_Hz * self.max_load_percent / 100.0
 
     def table(self) -> str:
-        """The arithmetic as text, one line per frame shape."""
+        """The computation of the bus time as text, one line per length and kind of frame."""
         lines = []
         for (length, flags), count in self.frames.items():
             slow, fast = frame_bits(length, flags)
@@ -63,10 +63,10 @@ class BusBudget(NamedTuple):
         return "\n".join(lines)
 
     def require(self, where: str = "bus", *, either_layout: bool = False) -> Self:
-        """Check that the frames fit, and give the budget itself.
+        """Check that the frames fit, and return the budget itself.
 
-        where: key of the bus. either_layout: the drives support CAN FD and classic frames. Raises
-        ConfigurationError with the arithmetic if the frames do not fit.
+        where: key of the bus, for the message. either_layout: the drives support CAN FD and classic frames.
+        Raises ConfigurationError with the computation if the frames do not fit.
         """
         if self.load_percent <= self.max_load_percent * (1 + 1e-12):
             return self
@@ -85,10 +85,10 @@ class BusBudget(NamedTuple):
 def budget(
     frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
 ) -> BusBudget:
-    """Worst-case time of one tick's frames on their bus.
+    """Worst-case bus time of one tick's frames on their bus.
 
-    frames: one example of every frame sent in a tick, repeated as often as it is sent.
-    Raises BusError for a frame that cannot be on the bus.
+    frames: one example of every frame sent in a tick, repeated as often as it is sent. Raises BusError for a
+    frame that cannot be on the bus.
     """
     shapes = Counter((len(frame.data), frame.flags) for frame in frames)
     total_ns = sum(count * frame_time_ns(*shape, timing) for shape, count in shapes.items())
@@ -100,7 +100,7 @@ def bus_budgets(
 ) -> tuple[BusBudget, ...]:
     """Bus time of the fullest tick at `rate_Hz`, bus by bus; empty for layout ideal.
 
-    Raises ConfigurationError: a bus load above `max_load_percent` (with the arithmetic), settings that the
+    Raises ConfigurationError: a bus load above `max_load_percent` (with the computation), settings that the
     protocol does not have, or sensors for which layout or protocol have no room.
     """
     nodes = SensorProtocol(bus, sensors)
@@ -128,7 +128,7 @@ def bus_budgets(
 
 
 def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
-    """One example of every heartbeat that occurs in every tick, as the six drives take turns.
+    """One example of every heartbeat frame that occurs in every tick, as the six drives take turns.
 
     Rarer heartbeats use the free part of the bus, as does the set-up of the drives: see `set_up_ns`.
     """
@@ -143,7 +143,7 @@ def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Fr
 
 
 def timed_feedbacks(protocol: Family, rate_Hz: float) -> tuple[Frame, ...]:
-    """One example of every timer-driven feedback that occurs in every tick, on the bus of each drive."""
+    """One example of every timer-driven feedback frame that occurs in every tick, on its drive's bus."""
     if protocol.traits.unasked_s <= 0.0:
         return ()
     readings = protocol.traits.feedbacks
@@ -177,7 +177,7 @@ def shortest_answer_ns(bus: BusSettings, protocol: Family) -> int:
 
 
 def bus_names(bus: BusSettings) -> tuple[str, ...]:
-    """Channel of each bus, with its legs if there are several buses."""
+    """Channel of each bus as text, with its legs if there are several buses."""
     if not bus.channels:
         return (bus.channel,)
     return tuple(
@@ -189,7 +189,7 @@ def bus_names(bus: BusSettings) -> tuple[str, ...]:
 def loads(
     bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
 ) -> dict[str, object]:
-    """Bus load for a summary: the largest, and for several buses also that of each channel."""
+    """Bus load, %, for a summary: the largest, and for several buses also the load of each channel."""
     found = bus_budgets(bus, drives, sensors, rate_Hz)
     most = max((each.load_percent for each in found), default=None)
     if len(found) < 2:

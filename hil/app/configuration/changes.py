@@ -1,4 +1,4 @@
-"""Changes values of a configuration and writes its whole text again, as a log has it."""
+"""Changes values of a configuration and writes its complete text, which a log stores."""
 
 from collections.abc import Mapping
 from pathlib import PurePath
@@ -16,7 +16,7 @@ KINDS = ("law", "type")
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that YAML 1.2 could read as something else; writes no aliases, which we refuse to read."""
+    """YAML writer that quotes text which YAML 1.2 could read otherwise, and writes no aliases."""
 
     def ignore_aliases(self, data: object) -> bool:
         del data
@@ -42,12 +42,12 @@ def with_changes(text: str, changes: Mapping[str, Any]) -> str:
 
 
 def text_of(value: Any) -> str:
-    """YAML text of plain data; reading it gives the same data."""
+    """YAML text of plain data; reading the text gives the same data."""
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
 
 
 def merged(value: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Data of a configuration with changes, as in `with_changes`. Raises as `with_changes`."""
+    """Data of a configuration with changes applied, as in `with_changes`. Raises as `with_changes`."""
     found: dict[str, Any] = _merged(value, {key: _plain(change, key) for key, change in changes.items()})
     return found
 
@@ -66,7 +66,6 @@ def _merged(there: Any, change: Any) -> Any:
 
 
 def _plain(value: Any, place: str) -> Any:
-    """Value as plain YAML data."""
     if isinstance(value, Mapping):
         return {str(key): _plain(inner, f"{place}.{key}") for key, inner in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -91,17 +90,17 @@ UNATTENDED: Keys = {**OPERATOR, "plant": ("homing_file",)}
 
 
 def unattended(c: Configuration) -> Configuration:
-    """Configuration for a command in simulated time without an operator."""
+    """Configuration for a simulation without an operator: keys that wait for one have their defaults."""
     return _without(c, UNATTENDED)
 
 
 def without_operator(c: Configuration) -> Configuration:
-    """Configuration for a run without operator commands; it keeps its homing file."""
+    """Configuration for a run without operator commands; its homing file stays."""
     return _without(c, OPERATOR)
 
 
 def unattended_data(value: Mapping[str, Any], taken: Keys = UNATTENDED) -> dict[str, Any]:
-    """Data of a configuration without the keys in `taken`."""
+    """Data of a configuration without the keys in `taken`, which wait for an operator."""
     there = {name: keys for name, keys in taken.items() if isinstance(value.get(name), dict)}
     return merged(value, {name: dict.fromkeys(keys) for name, keys in there.items()})
 

@@ -1,4 +1,4 @@
-"""Configuration: one YAML file composed of the sections of each package.
+"""The configuration: one YAML file composed of the sections of each package.
 
 All problems of a file are reported at once, each as `file:line:column: path: what, allowed, given`.
 """
@@ -88,22 +88,22 @@ class Configuration(Section):
 
     @property
     def text(self) -> str:
-        """Exact source text, for the log."""
+        """Exact source text of the configuration, which a log stores."""
         return self._text
 
     @property
     def source(self) -> str:
-        """The file as given by the user."""
+        """Path or name of the configuration file as given by the user."""
         return self._source
 
     @property
     def folder(self) -> Path:
-        """Base folder of relative paths."""
+        """Folder to which relative paths in the configuration refer."""
         return self._folder
 
     @property
     def law_file(self) -> LawFile | None:
-        """File of the law, for a law in one file."""
+        """Python file of the control law, for `controller.law: FILE.py:CLASS`; else None."""
         return self._law_file
 
     def with_law(self, file: LawFile) -> "Configuration":
@@ -123,7 +123,7 @@ class Configuration(Section):
         return changed
 
     def require(self, command: Command) -> None:
-        """Check that the configuration can serve `command`.
+        """Check that the configuration is usable for `command`.
 
         Raises ConfigurationError: `virtual` interface between two processes, layout `ideal` on a real bus, no
         section `plant` where one is needed, faults that the command cannot produce.
@@ -149,7 +149,7 @@ class Configuration(Section):
             raise ConfigurationError(*(f"{self._source}: {problem}" for problem in found))
 
     def require_live(self) -> None:
-        """Raise ConfigurationError for a reference that takes no set-points."""
+        """Raise ConfigurationError if the reference takes no set-points, i.e. is not `live`."""
         if self.reference.type != "live":
             raise ConfigurationError(
                 f"{self._source}: reference.type: {self.reference.type} takes no set-points, allowed: live"
@@ -163,12 +163,12 @@ def short_name(path: str | Path) -> str:
 
 @cache
 def json_schema() -> dict[str, Any]:
-    """JSON Schema of a whole configuration. Callers must not change it."""
+    """JSON Schema of a whole configuration; cached, so callers must not change it."""
     return Configuration.model_json_schema()
 
 
 def load(path: str | Path) -> Configuration:
-    """Read a configuration from a file, or by the name of a shipped one (`virtual`).
+    """Read a configuration from a file, or a shipped one by its name, e.g. `virtual`.
 
     Raises ConfigurationError with all problems found.
     """
@@ -179,8 +179,8 @@ def load(path: str | Path) -> Configuration:
 def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Configuration:
     """Read a configuration from text; `name` stands for the file in messages.
 
-    Without `folder`, files of the configuration (CSV, FMU, law) are not read.
-    Raises ConfigurationError with all problems found.
+    Without `folder`, files of the configuration (CSV, FMU, law) are not read. Raises ConfigurationError with
+    all problems found.
     """
     document = parse(text)
     found = list(document.problems)
@@ -210,7 +210,7 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
 
 
 def _between_sections(sections: dict[str, Any], document: Document, folder: Path | None) -> list[Problem]:
-    """Fit the plant's step to the loop, and find the problems between sections."""
+    """Fit the plant's step to the loop, and return the problems between sections."""
     plant, loop = sections.get("plant"), sections.get("loop")
     if plant is not None and loop is not None:
         sections["plant"] = fitted(plant, loop)
@@ -241,9 +241,9 @@ def _out_of_range(document: Document) -> list[Problem]:
 def _law(
     document: Document, folder: Path | None, found: list[Problem]
 ) -> tuple[LawFile | None, type[Configuration]]:
-    """File of a law in a file, and the configuration class with section `controller` of that law.
+    """(law file or None, configuration class) for a document whose law is in a Python file.
 
-    Without a folder the configuration is that of a log: the law's file is not read.
+    Without a folder the configuration comes from a log, so the law's file is not read.
     """
     section = (document.value or {}).get("controller")
     law = section.get("law") if isinstance(section, dict) else None

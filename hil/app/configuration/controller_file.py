@@ -1,4 +1,4 @@
-"""Controller of law `state_space`: its file, and the check that the loop can run it."""
+"""Reads the controller of law `state_space` from its file, and checks that the loop can run it."""
 
 from pathlib import Path
 from typing import Any
@@ -23,13 +23,13 @@ TOGETHER = 1e-6
 
 
 def controller_path(settings: StateSpaceSettings, folder: Path) -> Path:
-    """File of the controller: relative to `folder`, or of a shipped controller by its name."""
+    """File of a designed controller: relative to `folder`, or of a shipped controller by its name."""
     file, name = folder / settings.controller_file, settings.controller_file
     return shipped_file(name, KIND) if not file.exists() and name in shipped(KIND) else file
 
 
 def read_controller(path: Path) -> LinearController:
-    """Read a controller from its file.
+    """Read a designed controller from its file.
 
     Raises ConfigurationError with all problems found; also for a controller that is unstable by itself,
     unless the file's `design` has `unstable_controller: true`.
@@ -54,7 +54,7 @@ def read_controller(path: Path) -> LinearController:
 
 
 def controller_of(settings: ControllerSettings, folder: Path) -> LinearController | None:
-    """Controller of a law's settings; None for a law without one.
+    """Designed controller of a law's settings; None for a law without one.
 
     Raises ConfigurationError as `read_controller`.
     """
@@ -70,7 +70,7 @@ def controller_of(settings: ControllerSettings, folder: Path) -> LinearControlle
 
 
 def unusable(settings: ControllerSettings, rate_Hz: float, folder: Path) -> str | None:
-    """Reason why a loop at `rate_Hz` cannot run the controller of a law's settings; None if it can."""
+    """Reason why a loop at `rate_Hz` cannot run a law's designed controller; None if it can."""
     try:
         controller = controller_of(settings, folder)
         if controller is not None:
@@ -81,6 +81,6 @@ def unusable(settings: ControllerSettings, rate_Hz: float, folder: Path) -> str 
 
 
 def law_figures(settings: ControllerSettings, law: Law) -> dict[str, Any]:
-    """Figures of the law for the summary of a run."""
+    """Name and order of a control law, for the summary of a run."""
     order = law.order if isinstance(law, StateSpace) else None
     return {"law": settings.law, "controller_order": order}

@@ -1,4 +1,4 @@
-"""Faults that a configuration or a command cannot have."""
+"""Checks faults to inject against a configuration and a command."""
 
 from collections.abc import Iterator, Sequence
 
@@ -20,7 +20,7 @@ from plant_fmu.faults.kinds import (
 
 
 def without_effect(plant: PlantSettings, kind: str) -> str:
-    """Reason why a kind of fault has no effect at a plant; empty if it has one."""
+    """Reason why a kind of fault has no effect at a plant; empty if it has an effect."""
     model, acts = plant.model, FAULTS[kind]
     if isinstance(model, BenchPlant) and issubclass(acts, LOADS):
         return f"{kind} needs a platform, but plant type bench has none: use another plant or kind"
@@ -33,7 +33,7 @@ def without_effect(plant: PlantSettings, kind: str) -> str:
 
 
 def force_not_carried(fault: Fault, bus: BusSettings, drives: DriveSettings) -> str:
-    """Reason why a forged command cannot carry its force; empty if it can, or for any other fault."""
+    """Reason why a forged command frame cannot carry the fault's force, N; empty if it can."""
     if not isinstance(fault, (BusSecondController, FramesForgedCommand)):
         return ""
     from plant_fmu.faults.foreign_controller import forged  # noqa: PLC0415 - compiled code, where it is needed alone
@@ -59,7 +59,7 @@ def unknown_bus(fault: Fault, bus: BusSettings) -> str:
 
 
 def require_bus(faults: Sequence[Fault], bus: BusSettings, drives: DriveSettings) -> None:
-    """Raise ConfigurationError for an unknown bus, and for a force that no frame carries."""
+    """Raise ConfigurationError for faults on an unknown bus, or with a force that no frame carries."""
     found = [
         (fault.kind, unknown_bus(fault, bus) or force_not_carried(fault, bus, drives)) for fault in faults
     ]
@@ -68,7 +68,7 @@ def require_bus(faults: Sequence[Fault], bus: BusSettings, drives: DriveSettings
 
 
 def cannot_serve(command: str, faults: Sequence[Fault]) -> Iterator[str]:
-    """Faults that `sim` or `plant` cannot produce, and what to do instead."""
+    """Yield faults that command `sim` or `plant` cannot produce, and what to do instead."""
     for n, fault in enumerate(faults):
         place = f"plant.faults[{n}]: {fault.kind}"
         if command == "sim" and isinstance(fault, PROCESS):
@@ -84,7 +84,7 @@ def cannot_serve(command: str, faults: Sequence[Fault]) -> Iterator[str]:
 
 
 def require_bench_faults(faults: Sequence[Fault]) -> None:
-    """Raise ConfigurationError for faults that `hil plant --bench` does not have."""
+    """Raise ConfigurationError for faults that `hil plant --bench` does not support."""
     wrong = [
         f"plant.faults[{n}]: {fault.kind}: the drives of --bench accept --mistake, but no "
         f"faults; allowed with it: {', '.join(kind.model_fields['kind'].default for kind in PROCESS)}"

@@ -1,4 +1,4 @@
-"""Faults as text: `encoder_jump leg=0 at=2 by=5e-3`, the short form of an entry of `plant.faults`.
+"""Faults as text, e.g. `encoder_jump leg=0 at=2 by=5e-3`, the short form of an entry of `plant.faults`.
 
 The kind comes first, then its keys; a key may be written without its unit.
 """
@@ -16,12 +16,12 @@ from plant_fmu.faults.fault import Fault
 
 
 def short_keys(kind: type[Fault]) -> dict[str, str]:
-    """Keys of a kind: without unit -> whole."""
+    """{key without unit: key} of a kind of fault."""
     return {split_unit(key)[0]: key for key in kind.model_fields if key != "kind"}
 
 
 def read_fault(text: str) -> Fault:
-    """Fault from its text form.
+    """Parse a fault from its text form, e.g. `encoder_jump leg=0 at=2 by=5e-3`.
 
     Raises ConfigurationError: unknown kind or key, a key twice, a value that is not allowed or missing.
     """
@@ -45,7 +45,7 @@ def read_fault(text: str) -> Fault:
 
 
 def show_fault(fault: Fault) -> str:
-    """Text form of a fault, without default values."""
+    """Text form of a fault, e.g. `encoder_jump leg=0 at=2`, without default values."""
     given = fault.model_dump(exclude_defaults=True)
     words = [str(fault.kind)]
     for short, key in short_keys(type(fault)).items():
@@ -58,9 +58,9 @@ def show_fault(fault: Fault) -> str:
 
 
 def with_faults(c: Configuration, texts: Iterable[str]) -> Configuration:
-    """Configuration with further faults from their text form.
+    """Configuration with further faults, given in their text form.
 
-    Raises ConfigurationError for invalid text, and for faults that its plant cannot have.
+    Raises ConfigurationError for invalid text, and for faults that have no effect at its plant.
     """
     faults = [read_fault(text) for text in texts]
     if not faults:

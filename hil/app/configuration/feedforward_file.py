@@ -40,7 +40,7 @@ _DIGITS = 16
 def made_for(
     reference: ReferenceSettings, controller: ControllerSettings, platform: PlatformSettings, folder: Path
 ) -> MadeFor:
-    """Fingerprints of the reference, controller and platform of a feed-forward.
+    """Fingerprints of the reference, controller and platform that a feed-forward belongs to.
 
     They cover the path, the law with its model, and the robot, including the content of their files. They
     omit the names of the files and the evaluation of the reference.
@@ -81,18 +81,18 @@ def _digest_of(table: Array) -> str:
 
 
 def feedforward_path(settings: FeedforwardSettings, folder: Path) -> Path:
-    """File of a feed-forward, relative to the configuration's folder."""
+    """Path of a feed-forward file, relative to the configuration's folder."""
     return folder / settings.file
 
 
 def largest_written(limit_N: float) -> float:
-    """Largest force, N, that a file can hold and that is not above a limit."""
+    """Largest force, N, not above a limit that a feed-forward file can hold with its DECIMALS."""
     nearest = round(limit_N, DECIMALS)
     return nearest if nearest <= limit_N else round(nearest - 10.0**-DECIMALS, DECIMALS)
 
 
 def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: float) -> str:
-    """Text of a file: forces (n, 6) N from `start` steps of step_s on, to 0.1 mN."""
+    """Text of a feed-forward file: forces (n, 6) N from `start` steps of step_s on, to 0.1 mN."""
     body = io.StringIO()
     rows = np.column_stack([(start + np.arange(len(tau))) * step_s, tau])
     np.savetxt(body, rows, fmt=["%.9g"] + [f"%.{DECIMALS}f"] * 6, delimiter=",")
@@ -108,7 +108,7 @@ def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: floa
 
 
 def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, float, float]:
-    """Head, forces (n, 6) N, their first time and step in s; `name` stands for the file in messages.
+    """(head, forces (n, 6) N, first time s, step s) of a feed-forward file; name: for messages.
 
     Raises ConfigurationError: another kind of file, a head with problems, or rows that do not match the
     digest in the head.
@@ -149,7 +149,7 @@ def learned_forces(
     platform: PlatformSettings,
     folder: Path,
 ) -> LearnedForces | None:
-    """Learned forces of a configuration; None without section `feedforward`.
+    """Learned feed-forward forces of a configuration; None without section `feedforward`.
 
     Raises ConfigurationError as `read_feedforward`; also for forces that were learned on another reference,
     controller or platform, or that exceed `feedforward.limit_N`.

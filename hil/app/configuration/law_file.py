@@ -1,4 +1,4 @@
-"""Law in one Python file: `controller.law: ./my_law.py:MyLaw`, relative to the configuration's folder."""
+"""Runs a control law in one Python file: `controller.law: ./my_law.py:MyLaw`, next to the configuration."""
 
 import hashlib
 import re
@@ -26,7 +26,7 @@ _NAMED = re.compile(r".+\.py:[A-Za-z_]\w*")
 
 
 class UnreadLaw(LawSettings):
-    """Section `controller` of a log with a law in a file: its plain keys. The file has not been run."""
+    """Section `controller` of a log whose law is in a Python file: plain keys; the file has not been run."""
 
     model_config = ConfigDict(extra="allow")
 
@@ -39,22 +39,22 @@ class UnreadLaw(LawSettings):
 
 
 class LawFile(NamedTuple):
-    """File of a law that has been run."""
+    """Python file of a control law, and its source text."""
 
     path: Path
     source: bytes
 
     def described(self) -> dict[str, str]:
-        """Metadata for a log: absolute path and SHA-256 of the file."""
+        """Metadata for a log: absolute path and SHA-256 of the law's file."""
         return {PATH: str(self.path.resolve()), "law_sha256": self.digest}
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the source."""
+        """SHA-256 of the law's source, hexadecimal."""
         return hashlib.sha256(self.source).hexdigest()
 
     def is_known(self) -> bool:
-        """True if the disk has this file and this user has run it from a configuration."""
+        """True if the disk has this law file and this user has run it from a configuration before."""
         try:
             there = self.path.is_absolute() and read_regular(self.path, len(self.source)) == self.source
             return there and (own_folder(_KNOWN) / self.digest).exists()
@@ -63,12 +63,12 @@ class LawFile(NamedTuple):
 
 
 def is_file(law: object) -> TypeGuard[str]:
-    """True if `controller.law` is a class in a file."""
+    """True if `controller.law` refers to a class in a Python file, `FILE.py:CLASS`."""
     return isinstance(law, str) and _NAMED.fullmatch(law) is not None
 
 
 def read_law(law: str, folder: Path) -> tuple[LawFile, type[LawSettings]]:
-    """Run the file of a law; the result is the file and the class of its settings.
+    """Run the Python file of a law; return the file and the class of its settings.
 
     Raises ConfigurationError if the file cannot be read, and as `run_law`.
     """
@@ -85,9 +85,9 @@ def read_law(law: str, folder: Path) -> tuple[LawFile, type[LawSettings]]:
 
 
 def run_law(law: str, file: LawFile) -> type[LawSettings]:
-    """Run the source of a law, once per process; the result is the class of its settings.
+    """Run the source of a law, once per process; return the class of its settings.
 
-    Raises ConfigurationError if it fails, or has no subclass of LawSettings of this name.
+    Raises ConfigurationError if the source fails, or has no subclass of LawSettings of this name.
     """
     name = law.rpartition(":")[2]
     found: Any = getattr(_module(file.source, file.path), name, None)
@@ -99,7 +99,7 @@ def run_law(law: str, file: LawFile) -> type[LawSettings]:
 
 
 def _revived(law: str, file: LawFile, values: dict[str, Any]) -> LawSettings:
-    """Settings received from another process, in which the file has been run."""
+    """Law settings unpickled from another process; the law's file is run here, too."""
     return run_law(law, file).model_validate(values)
 
 

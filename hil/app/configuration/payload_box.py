@@ -1,8 +1,8 @@
-"""Extreme payloads: corners of the box in which a payload's mass and centre of mass lie.
+"""Extreme payloads within the ranges of a payload's mass and centre of mass.
 
-Forces at rest are linear in m and m c, so their extremes are at corners. The kinetic energy of a motion is
-convex in c: the largest inertia is at a corner. The smallest may be inside, near the place where the smallest
-mass is closest to the centre of mass of all the rest. That place is checked, too.
+Forces at rest are linear in m and m c, so their extremes are at corners of these ranges. The kinetic energy
+of a motion is convex in c: the largest inertia is at a corner. The smallest may be inside, near the place
+where the smallest mass is closest to the centre of mass of all the rest. That place is checked, too.
 """
 
 from itertools import product
@@ -24,7 +24,7 @@ class Corner(NamedTuple):
 def corners(settings: PlatformSettings) -> list[Corner]:
     """Platform with the model's payload, then with each extreme of the payload that has ranges.
 
-    Without ranges only the first. Raises GeometryError for a tensor that no body has.
+    Without ranges only the first. Raises GeometryError for an inertia tensor that no body has.
     """
     payload = settings.platform.payload
     ranged = next((k for k, body in enumerate(payload) if body.ranged), None)
@@ -51,7 +51,7 @@ def corners(settings: PlatformSettings) -> list[Corner]:
 
 
 def _nearest(settings: PlatformSettings, ranged: int) -> Vector3:
-    """Place within a payload's ranges that is closest to the centre of mass of all the rest."""
+    """Place (3,) m within a payload's ranges that is closest to the centre of mass of all the rest."""
     payload = settings.platform.payload
     body, rest = payload[ranged], [*payload[:ranged], *payload[ranged + 1 :]]
     bare = settings.platform.model_copy(update={"payload": rest})
@@ -65,7 +65,7 @@ def _nearest(settings: PlatformSettings, ranged: int) -> Vector3:
 
 
 def _moved(body: PayloadSettings, mass: float, com: Vector3) -> list[PayloadSettings]:
-    """The body with another mass and place; empty for mass 0."""
+    """The payload with another mass, kg, and place, m, in a list; empty for mass 0."""
     if mass == 0.0:
         return []
     changes: dict[str, object] = {"mass_kg": mass, "com_m": com, "mass_range_kg": None, "com_range_m": None}
@@ -77,7 +77,7 @@ def _moved(body: PayloadSettings, mass: float, com: Vector3) -> list[PayloadSett
 
 
 def shown_ranges(body: PayloadSettings) -> str:
-    """Mass and place of a payload as text, with their ranges."""
+    """Mass, kg, and place, m, of a payload as text, with their ranges."""
 
     def shown(x: float, within: tuple[float, float] | None) -> str:
         return f"{x:g}" if within is None else f"{within[0]:g} to {within[1]:g}"

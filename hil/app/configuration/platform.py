@@ -1,4 +1,4 @@
-"""Section `platform` resolved: joints from circles; CAD data, shapes and payload as one rigid body."""
+"""Resolves section `platform`: joints from circles; CAD data, shapes and payload as one rigid body."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ from hil.robot.geometry import Body, Platform
 
 
 def platform_dict(settings: PlatformSettings) -> dict[str, Any]:
-    """Argument of `Platform.from_dict` (SI, keys without unit).
+    """Robot of section `platform` as the argument of `Platform.from_dict` (SI, keys without unit).
 
     Raises GeometryError for a tensor that no body has; `where` is the path below `platform`.
     """
@@ -53,7 +53,7 @@ def platform_dict(settings: PlatformSettings) -> dict[str, Any]:
 
 
 def build_platform(settings: PlatformSettings) -> Platform:
-    """The controller's robot. Raises GeometryError as `platform_dict`."""
+    """Robot of section `platform`, as the controller models it. Raises GeometryError as `platform_dict`."""
     return Platform.from_dict(platform_dict(settings))
 
 
@@ -63,7 +63,7 @@ def pose_arrays(pose: Pose | Waypoint) -> tuple[Array, Array]:
 
 
 def joint_list(given: list[Vector3] | JointCircle) -> list[list[float]]:
-    """Six joint centres in m, from the list or the circle."""
+    """Six joint centres (x, y, z) in m, from the list or the circle in a configuration."""
     if not isinstance(given, JointCircle):
         return [list(joint) for joint in given]
     if given.angles_deg is not None:
@@ -79,7 +79,7 @@ def joint_list(given: list[Vector3] | JointCircle) -> list[list[float]]:
 
 
 def platform_body(settings: PlatformSettings) -> Body:
-    """Platform and payload as one body: about its centre of mass, platform axes.
+    """Platform and payload as one rigid body: inertia about its centre of mass, platform axes.
 
     Raises GeometryError as `platform_dict`.
     """
@@ -90,10 +90,10 @@ def platform_body(settings: PlatformSettings) -> Body:
 
 
 def rigid_body(settings: RigidBodySettings, where: str) -> Body:
-    """One body in the platform frame.
+    """A configured body as a rigid body in the platform frame.
 
-    com = origin + R c; I = R I_c R^T, I_c about the centre of mass in the axes of the body's frame.
-    Raises GeometryError: no body has this tensor.
+    com = origin + R c; I = R I_c R^T, I_c about the centre of mass in the axes of the body's frame. Raises
+    GeometryError if no body has this inertia tensor; `where` names the body in the message.
     """
     com = np.array(settings.com_m)
     if settings.inertia_kg_m2 is None:

@@ -1,4 +1,4 @@
-"""Pydantic's errors as problems of a YAML text: path, what is wrong, what is allowed, what was given.
+"""Translates Pydantic's errors into problems of a YAML text: path, what is wrong, allowed, given.
 
 The allowed values come from the model's own JSON Schema, so they always match the check.
 """
@@ -26,7 +26,7 @@ FIXED_KEYS = {"reactions": ("estop", "bus", "second_controller")}
 
 
 def problems(error: ValidationError, document: Document, schema: Schema) -> list[Problem]:
-    """Translate every error; `schema` is that of the whole model."""
+    """Translate every validation error into a problem; `schema` is the JSON Schema of the whole model."""
     found: dict[tuple[str, Path], Problem] = {}
     for item in error.errors(include_url=False):
         path = _path(item["loc"], document.value, missing=item["type"] == "missing")
@@ -49,7 +49,7 @@ Of = TypeVar("Of", bound=BaseModel)
 
 
 def validated(kind: type[Of], document: Document) -> tuple[Of | None, list[Problem]]:
-    """Section in a text, and the problems of the text: one of them is empty."""
+    """(section, problems) of a YAML text; section: None if there are problems."""
     found = list(document.problems)
     if document.value is not None:
         try:
@@ -62,7 +62,7 @@ def validated(kind: type[Of], document: Document) -> tuple[Of | None, list[Probl
 
 
 def checked(kind: type[Of], document: Document, name: str) -> Of:
-    """Section in the text of a file `name`. Raises ConfigurationError with all problems found."""
+    """Section of type `kind` in the text of file `name`. Raises ConfigurationError with all problems."""
     section, found = validated(kind, document)
     if section is None:
         raise ConfigurationError(*lines(found, name))
@@ -78,7 +78,7 @@ _BOUNDS = {
 
 
 def describe(schema: Schema, root: Schema) -> str:
-    """Allowed values of a schema, as text."""
+    """Allowed values of a JSON Schema, as text; root: schema that its references refer to."""
     match _dereference(schema, root):
         case {"discriminator": {"propertyName": name, "mapping": mapping}}:
             return f"a section whose {name} is {', '.join(mapping)}"
@@ -117,7 +117,7 @@ def _describe_list(sizes: Schema, root: Schema) -> str:
 
 
 def at(path: Path, data: Value, root: Schema) -> Schema:
-    """Schema at `path`, with alternatives chosen by the data."""
+    """JSON Schema at `path`, with alternatives chosen by the data."""
     schema = root
     for item in path:
         schema = _choose(_dereference(schema, root), data, root)
@@ -141,7 +141,7 @@ def _dereference(schema: Schema, root: Schema) -> Schema:
 
 
 def _choose(schema: Schema, data: Value, root: Schema) -> Schema:
-    """Pick the alternative that fits the data: by discriminator, else by its kind."""
+    """Alternative of a schema that fits the data: by discriminator, else by its kind."""
     options = schema.get("oneOf") or schema.get("anyOf")
     if not options:
         return schema
@@ -181,7 +181,7 @@ _WHAT = {
 
 
 def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schema) -> tuple[str, Problem]:
-    """Class of a problem, which identifies duplicates from union alternatives, and the problem."""
+    """(class, problem) of an error; the class identifies duplicates from alternatives of a union."""
     if kind == "extra_forbidden":
         return "key", Problem(document.key_position(path), path, unknown_key(path, document, schema))
     if kind in ("value_error", "assertion_error"):

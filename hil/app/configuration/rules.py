@@ -1,7 +1,7 @@
 """Rules between sections of a configuration, which no section can check alone.
 
-A rule receives the sections of `hil.app.configuration.bounds`. Only rules that receive a folder read other
-files.
+A rule receives the sections that are valid by themselves, see `hil.app.configuration.bounds`. Only rules that
+receive a folder read other files.
 """
 
 import re
@@ -44,7 +44,7 @@ from plant_fmu.config import FmuPlant
 
 
 def broken(sections: Mapping[str, Any], folder: Folder) -> Iterator[Finding]:
-    """Path and message of each rule that the sections break."""
+    """Yield (path, message) of each rule that the sections of a configuration break."""
     c = Sections(**sections)
     for rule in RULES:
         with suppress(MissingSectionError):
@@ -64,7 +64,7 @@ def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def _keyed(error: HilError, sections: str, key: Path) -> Finding:
-    """Key at the start of an error, if in one of these sections, else `key`; and the rest of the error."""
+    """(key, rest) of an error that begins with a key in one of these sections; else (`key`, whole error)."""
     named = re.fullmatch(rf"((?:{sections})[\w.\[\]]*): (.*)", str(error), re.DOTALL)
     if named is None:
         return key, str(error)
@@ -96,7 +96,7 @@ def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def geometry(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Check that a platform can have these joints, masses and inertias."""
+    """Check that a rigid robot can have these joints, masses and inertias."""
     try:
         build_platform(c.platform)
     except GeometryError as error:
@@ -138,7 +138,7 @@ def reachable_poses(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Check that times increase, that a repeated path does not jump, and that the CSV file is valid."""
+    """Check the reference: times increase, a repeated path does not jump, the CSV file is valid."""
     sampled = isinstance(c.reference, SampledReference)
     if sampled and folder is None:
         return
@@ -149,7 +149,7 @@ def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 def designed_controllers(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Check that the loop can run the controllers from files, also those of the laws to compare."""
+    """Check that the loop can run the controllers from files, including those of `compare.laws`."""
     laws = {("controller",): c.controller} | {
         ("compare", "laws", k): law for k, law in c.compare.laws.items()
     }
@@ -160,12 +160,12 @@ def designed_controllers(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 def certificate(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Check that the law has a certificate if the monitor acts on it."""
+    """Check that the law has a Lyapunov certificate if the monitor acts on it."""
     return certified_law(c.monitor, c.controller, None)
 
 
 def whole_steps(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Check that the period is a whole number of the plant's steps."""
+    """Check that the loop's period is a whole number of the plant's steps."""
     if c.plant is None:
         return
     key, period_us = step_key(c.plant), 1e6 / c.loop.rate_Hz
@@ -178,7 +178,7 @@ def whole_steps(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def fmu_file(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Check that the FMU exists."""
+    """Check that the FMU file of the plant exists."""
     if c.plant is not None and isinstance(c.plant.model, FmuPlant) and folder is not None:
         path = folder / c.plant.model.path
         if not path.is_file():
@@ -218,7 +218,7 @@ def drives(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Check that the drives' data sheet has every object that we need.
+    """Check that the CiA 402 drives' data sheet (EDS) has every object that the controller needs.
 
     The file is searched in the current folder, then next to the configuration; not for a configuration in a
     log.

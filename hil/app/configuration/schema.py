@@ -1,4 +1,4 @@
-"""JSON Schema of a configuration, for editors."""
+"""JSON Schema of a configuration file, with which editors complete and check keys."""
 
 import ast
 import importlib.resources
@@ -21,12 +21,12 @@ HEAD_LINES = 10
 
 
 def schema() -> dict[str, Any]:
-    """JSON Schema, draft 2020-12, with the docstrings of the keys as descriptions."""
+    """JSON Schema (draft 2020-12) of a configuration, with the docstrings of the keys as descriptions."""
     return described("Configuration", json_schema(), "hexapod-hil configuration")
 
 
 def described(name: str, plain: dict[str, Any], title: str) -> dict[str, Any]:
-    """Pydantic's schema of the section class `name`, with the docstrings of the keys."""
+    """Pydantic's JSON Schema `plain` of the section class `name`, with the docstrings of the keys added."""
     whole = deepcopy(plain)
     models = {model.__name__: model for model in _sections(Section)}
     for section_name, section in ((name, whole), *whole["$defs"].items()):
@@ -40,34 +40,34 @@ def described(name: str, plain: dict[str, Any], title: str) -> dict[str, Any]:
 
 
 def text() -> str:
-    """The schema as in the committed file."""
+    """JSON Schema of a configuration as text, as in the committed file."""
     return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
 
 
 def schema_path() -> Path:
-    """Schema file of this installation, in a clone or a wheel."""
+    """JSON Schema file of this installation, in a clone or a wheel."""
     return Path(str(importlib.resources.files("configs") / FILE))
 
 
 def schema_line() -> str:
-    """First line with which an editor finds the schema, wherever the configuration lies."""
+    """First line of a configuration with which an editor finds the schema, wherever the file lies."""
     return f"{MODELINE}{schema_path()}"
 
 
 def named_schema(text: str) -> str | None:
-    """Schema that the first lines of a configuration refer to; None without one."""
+    """Schema that the first lines of a configuration refer to; None without such a line."""
     lines = text.removeprefix("\ufeff").splitlines()[:HEAD_LINES]
     return next((line.removeprefix(MODELINE).strip() for line in lines if line.startswith(MODELINE)), None)
 
 
 def schema_is_there(text: str, folder: Path) -> bool:
-    """True if the schema of a text in `folder` can be loaded, or if the text refers to none."""
+    """True if the schema of a configuration text in `folder` exists, or if the text has none."""
     named = named_schema(text)
     return named is None or "://" in named or (folder / named).is_file()
 
 
 def with_schema(text: str) -> str:
-    """Text of a configuration with a line that refers to this installation's schema.
+    """Text of a configuration with a line that refers to this installation's JSON Schema.
 
     A byte order mark is removed: YAML allows it only at the start of a text.
     """
@@ -84,10 +84,10 @@ def _sections(section: type[Section]) -> Iterator[type[Section]]:
 
 
 def _docstrings(section: type[Section]) -> dict[str, str]:
-    """Docstring below each field, base classes included.
+    """{field: docstring below it} of a section class, base classes included.
 
-    pydantic can do it for each class (`use_attribute_docstrings`), but that adds a fifth to the start of
-    every command, and only editors read it.
+    pydantic can do this for each class (`use_attribute_docstrings`), but that adds a fifth to the start of
+    every command, and only editors read the result.
     """
     found: dict[str, str] = {}
     for base in reversed(section.__mro__[: section.__mro__.index(Section)]):

@@ -1,4 +1,4 @@
-"""YAML file with one section, which one command writes and another one reads.
+"""YAML file with one section, which one command writes and another command reads.
 
 All problems are reported at once, each as `file:line:column: path: what, allowed, given`.
 """
@@ -19,7 +19,7 @@ Of = TypeVar("Of", bound=Section)
 
 
 def read_section(path: Path, kind: type[Of]) -> tuple[Of, Document]:
-    """Section in a file, and the positions of its keys and values.
+    """(section, document with the positions of keys and values) of a YAML file.
 
     Raises ConfigurationError with all problems found.
     """
@@ -50,9 +50,9 @@ def write_section(path: Path, section: Section, remark: str) -> None:
 
 
 def check_section_path(option: str, path: Path, kind: type[Section]) -> None:
-    """Check before anything starts that a file can be written; an earlier file is replaced.
+    """Check before any work that a section file can be written; an earlier file is replaced.
 
-    Raises LogError, as `new_file`.
+    option: command-line option that sets the path. Raises LogError, as `new_file`.
     """
     name = _name(kind)
     new_file(path, option=option, own=Kind(f"a file of kind {name}", lambda file: _says(file, name)))

@@ -1,4 +1,4 @@
-"""Text of a configuration: of a file, or of a shipped one by its name.
+"""Reads the text of a configuration: of a file, or of a shipped configuration by its name.
 
 Cheap to import: `hil ctl CONFIG estop` reads only this and section `bus`.
 """
@@ -11,9 +11,9 @@ from drivers.files import read_regular
 
 
 def read_text(path: Path) -> str:
-    """Text of a file.
+    """Text of a UTF-8 file.
 
-    Raises FileNotFoundError if there is none, ConfigurationError if it is not a regular file, is too large,
+    Raises FileNotFoundError if it is missing, ConfigurationError if it is not a regular file, is too large,
     or is not UTF-8.
     """
     try:
@@ -31,21 +31,21 @@ def read_text(path: Path) -> str:
 
 
 def shipped(kind: str = "") -> tuple[str, ...]:
-    """Names of the shipped configurations, or of the shipped controllers or designs."""
+    """Names of the shipped configurations, or of the shipped controllers or designs (`kind`: folder)."""
     files = importlib.resources.files("configs").joinpath(kind).iterdir()
     return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
 
 
 def shipped_file(name: str, kind: str = "") -> Path:
-    """File of a shipped configuration, controller or design."""
+    """Path of a shipped configuration, controller or design; `kind`: its folder."""
     return Path(str(importlib.resources.files("configs").joinpath(kind, f"{name}.yaml")))
 
 
 def read_configuration(path: str | Path) -> tuple[Path, str]:
-    """File of a configuration, or of a shipped one by its name (`virtual`), and its text.
+    """(file, text) of a configuration: a path, or the name of a shipped one, e.g. `virtual`.
 
-    A file of that name has priority, a folder has not: `python -m venv virtual` hides nothing.
-    Raises ConfigurationError if there is none, or if it cannot be read.
+    A file of that name has priority, a folder has not: `python -m venv virtual` hides nothing. Raises
+    ConfigurationError if the file is missing or cannot be read.
     """
     file = Path(path)
     if (not file.exists() or file.is_dir()) and str(path) in shipped():

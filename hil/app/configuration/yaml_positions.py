@@ -24,32 +24,32 @@ Value = None | bool | int | float | str | list["Value"] | dict[str, "Value"]
 
 
 class Position(NamedTuple):
-    """Position in the text; both numbers count from one."""
+    """Position in a YAML text; line and column count from one."""
 
     line: int
     column: int
 
 
 class Problem(NamedTuple):
-    """Problem at one position of the text."""
+    """Problem at one position of a YAML text."""
 
     position: Position
     path: Path
     message: str
 
     def line(self, source: str) -> str:
-        """The problem as `file:line:column: path: message`."""
+        """The problem as text, `file:line:column: path: message`."""
         place = f"{source}:{self.position.line}:{self.position.column}: "
         return f"{place}{path_text(self.path)}: {self.message}" if self.path else place + self.message
 
 
 def lines(problems: Iterable[Problem], source: str) -> list[str]:
-    """Each problem once, in the order of the text."""
+    """Text line of each problem, without duplicates, in the order of the YAML text."""
     return [p.line(source) for p in sorted(set(problems), key=lambda p: (p.position, p.message))]
 
 
 class Document(NamedTuple):
-    """A parsed text. `value` is None when the text has no usable root."""
+    """A parsed YAML text. `value` is None if the text has no usable root."""
 
     value: dict[str, Value] | None
     keys: dict[Path, Position]
@@ -69,7 +69,7 @@ class Document(NamedTuple):
         return self.values[path] if path in self.values else self.key_position(path)
 
     def at(self, path: Path) -> Value:
-        """Value at `path`, which is in the text."""
+        """Value at `path`, which must be in the text."""
         value: Any = self.value
         for item in path:
             value = value[item]
@@ -77,7 +77,7 @@ class Document(NamedTuple):
 
 
 def path_text(path: Path) -> str:
-    """Path as text: `platform.base_joints_m[2]` for ("platform", "base_joints_m", 2)."""
+    """Key path as text: `platform.base_joints_m[2]` for ("platform", "base_joints_m", 2)."""
     text = ""
     for item in path:
         text += f"[{item}]" if isinstance(item, int) else f".{item}" if text else item
@@ -200,14 +200,14 @@ _NO_TEXT = re.compile("[\0\ud800-\udfff]")
 
 
 def _integer(text: str, base: int = 10) -> int:
-    """Raise OverflowError beyond the largest float: Python prints no number of 4301 digits, in any base."""
+    """Integer of a text. Raises OverflowError beyond the largest float, whose digits Python cannot print."""
     number = int(text, base)
     float(number)
     return number
 
 
 def _integral(text: str) -> int | float:
-    """Number of a text; 1e6 is an integer like 1000000."""
+    """Number of a text; an integer if whole and without a point, so that 1e6 equals 1000000."""
     number = float(text)
     return int(number) if number.is_integer() and abs(number) < 2**53 and "." not in text else number
 

@@ -1,1 +1,1 @@
-"""`hil design`: a controller file from a design file."""
+"""`hil design`: computes an H-infinity or mu controller from a design file."""

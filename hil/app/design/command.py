@@ -1,4 +1,4 @@
-"""`hil design`: a controller file from a design file."""
+"""`hil design`: computes an H-infinity or mu controller from a design file, and writes a controller file."""
 
 import importlib.resources
 from collections.abc import Callable
@@ -35,13 +35,13 @@ HEAD = "# Made by `hil design {method} {source}`; law state_space runs it.\n"
 
 
 def shipped_designs() -> tuple[str, ...]:
-    """Names of the designs that come with the product."""
+    """Names of the design files shipped with the package."""
     files = (importlib.resources.files("configs") / "designs").iterdir()
     return tuple(sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml")))
 
 
 def load_design(source: str) -> tuple[Design, Path]:
-    """Design and its file, from a path or the name of a shipped design.
+    """(design, its file) from a path or the name of a shipped design.
 
     Raises ConfigurationError with all problems found.
     """
@@ -55,9 +55,9 @@ def load_design(source: str) -> tuple[Design, Path]:
 
 
 def axis_of(design: Design, folder: Path, model: Path | None) -> tuple[DesignAxis, Relative | None]:
-    """Axis of a design, from the given model file, the design's model file or its own figures.
+    """(axis, deviation) of a design: axis from the given model file, the design's model file or its figures.
 
-    The second value is the deviation of the measured axes from it, None without a measurement.
+    The deviation of the measured axes from the axis is None without a measurement.
 
     Raises ConfigurationError: no axis, an axis of another space or rate, or six axes that differ too much.
     """
@@ -72,7 +72,7 @@ def axis_of(design: Design, folder: Path, model: Path | None) -> tuple[DesignAxi
     found = read_section(file, AxisModel)[0]
     for key, given, wanted in (("axes", found.axes, design.axes), ("rate_Hz", found.rate_Hz, design.rate_Hz)):
         if given != wanted:
-            raise ConfigurationError(f"{file}: {key}: {given}, allowed: that of the design, {wanted}")
+            raise ConfigurationError(f"{file}: {key}: {given}, allowed: as in the design, {wanted}")
     gains = np.array(found.nominal.gain)
     mean = float(np.exp(np.log(gains).mean()))
     if np.abs(gains / mean - 1.0).max() > SPREAD:
@@ -88,7 +88,7 @@ def axis_of(design: Design, folder: Path, model: Path | None) -> tuple[DesignAxi
 def run_design(
     method: str, source: str, model: Path | None, progress: Callable[[str], None], robot: str | None = None
 ) -> tuple[LinearController, Designed, Design, DesignAxis]:
-    """Design a controller.
+    """Design a controller; return it with the synthesis result, the design and the axis.
 
     robot: a configuration; the loop must be stable with its coupled axes and every payload within its ranges.
     Raises ConfigurationError for files, SynthesisError for an infeasible design.
@@ -107,14 +107,14 @@ def run_design(
 
 
 def controller_text(controller: LinearController, source: str) -> str:
-    """Text of the controller's file: a line for each row of a matrix, with all digits."""
+    """Text of a controller file: a line for each row of a matrix, with all digits."""
     document = controller.model_dump(mode="json")
     text = yaml.dump(document, sort_keys=False, default_flow_style=None, width=2000, allow_unicode=True)
     return HEAD.format(method=controller.method, source=printable(Path(source).stem)) + text
 
 
 def summary(controller: LinearController, source: str) -> dict[str, Any]:
-    """Content of the JSON file."""
+    """Summary of a designed controller for `--json`."""
     return {
         "success": True,
         "kind": "design",
@@ -153,7 +153,7 @@ ROWS = (
 
 
 def report(controller: LinearController) -> list[str]:
-    """Report for the terminal: use of the weights, margins, poles."""
+    """Report of a design for the terminal: use of the weights, margins, poles."""
     d: dict[str, Any] = dict(controller.design)
     d["down"], d["up"] = d["gain_margin"]
     d["low"], d["high"] = d.get("robot", {}).get("gamma_eigenvalues", (0.0, 0.0))

@@ -1,4 +1,4 @@
-"""Margins of a designed controller with a configuration's delay, for `hil check`."""
+"""Stability margins of a designed controller with a configuration's delay, for `hil check`."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ from hil.design.stability.sampled_loop import Axis, analyse, sampled_controller
 
 
 class LoopFinding(NamedTuple):
-    """Lines, figures and warnings of `hil check` about the loop."""
+    """Lines, figures and warnings of `hil check` about a designed controller's loop."""
 
     lines: list[str]
     figures: dict[str, Any]
@@ -23,7 +23,7 @@ def judge(
     least_deg: float,
     observer: Observer | None = None,
 ) -> LoopFinding:
-    """Margins of controller `name`, with a warning below `least_deg` of phase margin.
+    """Stability margins of controller `name`, with a warning below `least_deg` degrees of phase margin.
 
     observer: observer of the wrench, if the controller compensates its estimate.
     """

@@ -1,4 +1,4 @@
-"""Picture of a design: closed loop and its weights, open loop, response to a disturbance step."""
+"""Picture of a designed controller: closed loop and weights, open loop, response to a disturbance step."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ STEP_S = 0.3
 
 
 def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: str) -> Path:
-    """Draw a designed loop, exact and sampled, into a PNG file. Raises OSError: it cannot be written."""
+    """Draw a designed loop, exact and sampled, into a PNG file. Raises OSError if that fails."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     figure = Figure(figsize=(13, 8.5), layout="constrained")
@@ -54,7 +54,7 @@ def _closed(axes: Any, design: Design, omega: Array, L: ComplexArray) -> None:
 
 
 def _weighted(axes: Any, design: Design, omega: Array, closed: LinearSystem, figures: dict[str, Any]) -> None:
-    """Draw each path times its weights: all together below gamma; below 1 the design is met."""
+    """Draw each path times its weights: all together stay below gamma; below 1 the design is met."""
     size = np.abs(closed.response(omega))
     causes = ["disturbance", *(f"noise of {name}" for name in design.inputs)]
     for i, effect in enumerate(("error", "control")):

@@ -22,7 +22,7 @@ POSES = 25
 
 
 def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array]:
-    """Gamma (6, 6) along a configuration's reference, at each corner of its payload's ranges.
+    """Coupling matrices Gamma (6, 6) of the axes along a reference, at each corner of the payload's ranges.
 
     Raises ConfigurationError: not a robot, or another loop than the design's.
     """
@@ -31,7 +31,7 @@ def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array
     law, rate = c.controller, c.loop.rate_Hz
     for wrong, found, allowed in (
         (subject.on_bench, "plant.model: six uncoupled legs", "a configuration of the robot"),
-        (rate != rate_Hz, f"loop.rate_Hz: {rate:g}", f"that of the design, {rate_Hz:g}"),
+        (rate != rate_Hz, f"loop.rate_Hz: {rate:g}", f"as in the design, {rate_Hz:g}"),
         (law.axes not in (None, axes), f"controller.law {law.law}: axes {law.axes}", f"the design's, {axes}"),
     ):
         if wrong:
@@ -44,7 +44,7 @@ def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array
 def for_the_robot(
     design: Design, axis: DesignAxis, Gammas: list[Array], *, keep_gain: bool
 ) -> tuple[Design, DesignAxis]:
-    """Design and axis for a robot: its inertia range as uncertainty, and a central gain unless measured."""
+    """Design and axis for a robot's range of inertia, from Gammas (6, 6); the axis' gain unless measured."""
     least, largest = Inertia.of(np.array(Gammas)).eigenvalues
     if keep_gain:  # measured gain with the model's payload, and modelled gain
         least, largest = min(least, axis.gain * least), max(largest, axis.gain * largest)
@@ -67,7 +67,7 @@ def for_the_robot(
 def robustness(
     design: Design, axis: DesignAxis, made: Designed, measured: Relative | None, Gammas: list[Array]
 ) -> dict[str, Any]:
-    """Margins of robust stability of the exact sampled loop.
+    """Margins of robust stability of the exact sampled loop, as plain values.
 
     Raises SynthesisError for a loop that is not robustly stable.
     """
@@ -101,7 +101,7 @@ def _refuse(left: Margin, what: str) -> None:
 
 
 def _refuse_unstable(design: Design, axis: DesignAxis, made: Designed, Gammas: list[Array]) -> None:
-    """Refuse a loop unstable at an eigenvalue of Gamma: coupled axes have the poles of single ones."""
+    """Refuse a loop unstable at an eigenvalue of Gamma: coupled axes have the poles of single axes."""
     for value in np.unique(np.round(np.linalg.eigvals(np.array(Gammas)).real, 4)):
         legs = sampled_axis(
             axis.model_copy(update={"gain": axis.gain * float(value)}), design.rate_Hz, design.inputs

@@ -1,1 +1,1 @@
-"""Parked leg lengths for motors without absolute encoders: file, updates during a run, command."""
+"""Stores parked leg lengths for motors without absolute encoders: file, updates during a run, command."""

@@ -1,4 +1,4 @@
-"""`hil homing`: show or set the stored leg lengths of a robot."""
+"""`hil homing`: shows or sets the leg lengths stored for motors without absolute encoders."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -20,11 +20,11 @@ def state_homing(
     lengths_m: Sequence[float] | None = None,
     legs_m: Mapping[int, float] | None = None,
 ) -> dict[str, Any]:
-    """Write the given lengths to the homing file, or without any show it; return the summary.
+    """Write the given lengths to the homing file, or without any show the file; return the summary.
 
-    emulated: the file of the emulated drives. at_home: the lengths at platform.home. legs_m: single legs by
-    number; the others keep the lengths in the file.
-    Raises ConfigurationError: no homing file, a length outside the stroke, or a run in progress.
+    emulated: the file of the emulated drives. at_home: the lengths at platform.home. lengths_m: six lengths,
+    m. legs_m: single legs by number, m; the others keep the lengths in the file. Raises ConfigurationError:
+    no homing file, a length outside the stroke, or a run in progress.
     """
     path = homing_path(c, emulated=emulated)
     if path is None:

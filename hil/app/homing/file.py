@@ -20,7 +20,7 @@ _REMARK = "leg lengths of a robot at rest; written by `hil run` at its end and b
 
 
 class HomingFile(Section):
-    """Lengths and motor positions of six legs, in leg order."""
+    """Leg lengths and motor positions of six legs at rest, in leg order."""
 
     kind: Literal["homing"]
     version: int
@@ -42,7 +42,7 @@ class HomingFile(Section):
 
 
 def robot_hash(c: Configuration) -> str:
-    """Hash of legs, drives and transmission: it changes with any of them."""
+    """Hash of platform, drives and transmission, as hexadecimal text: it changes with any of them."""
     drives = c.drives.model_dump(
         mode="json", include={"protocol", "node_ids", "options", "transmission", "homing"}
     )
@@ -53,7 +53,7 @@ def robot_hash(c: Configuration) -> str:
 
 
 def homing_path(c: Configuration, *, emulated: bool) -> Path | None:
-    """Homing file of the real or emulated drives, if any. Raises ConfigurationError: no drives.homing."""
+    """Homing file of the real or emulated drives, or None. Raises ConfigurationError: no drives.homing."""
     if c.drives.homing is None:
         raise ConfigurationError(
             f"{c.source}: drives.homing: missing: needed for drives that forget their turns"
@@ -65,7 +65,7 @@ def homing_path(c: Configuration, *, emulated: bool) -> Path | None:
 
 
 def command(c: Configuration, *, emulated: bool) -> str:
-    """Command that sets the leg lengths."""
+    """Command line that sets the leg lengths in the homing file."""
     return f"hil homing {c.source}{' --emulated' if emulated else ''}"
 
 
@@ -75,7 +75,7 @@ def _remedy(c: Configuration, path: Path) -> str:
 
 
 def read_homing(c: Configuration, path: Path) -> HomingFile:
-    """Read the file. Raises ConfigurationError: missing, incomplete, of another version or another robot."""
+    """Read the homing file. Raises ConfigurationError: missing, incomplete, of another version or robot."""
     remedy = _remedy(c, path)
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file: the turn of each motor is unknown: {remedy}")
@@ -94,7 +94,7 @@ def read_homing(c: Configuration, path: Path) -> HomingFile:
 
 
 def refuse_moved(c: Configuration, path: Path, file: HomingFile) -> HomingFile:
-    """The file itself. Raises ConfigurationError if its run has not stored where it left the legs."""
+    """Return the file. Raises ConfigurationError if its run has not stored where it left the legs."""
     if file.state == "moved":
         raise ConfigurationError(
             f"{path}: the run of {file.date} opened the brakes and did not end at rest with all legs "
@@ -105,7 +105,7 @@ def refuse_moved(c: Configuration, path: Path, file: HomingFile) -> HomingFile:
 
 
 def write_homing(c: Configuration, path: Path, file: HomingFile) -> None:
-    """Write the file atomically. Raises ConfigurationError if it cannot be written."""
+    """Write the homing file atomically. Raises ConfigurationError if it cannot be written."""
     write_section(path, file, f"{_REMARK} {c.source}")
 
 
@@ -116,7 +116,7 @@ def homing_file(
     turns: list[float] | None,
     stated_legs: list[int] | None = None,
 ) -> HomingFile:
-    """Homing file of this robot, dated now."""
+    """Content of a homing file for this robot, with the current date; lengths (6) m, turns (6)."""
     return HomingFile(
         kind="homing",
         version=VERSION,

@@ -1,4 +1,4 @@
-"""Homing file during a run: read first, marked while the brakes may open, written where the legs rest."""
+"""Keeps the homing file during a run: reads it first, marks it as outdated, writes it where the legs rest."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from hil.safety.motion import REST_m_s
 
 _RESTING = frozenset({Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT})
 _LATELY = 5
-"""Ticks: a leg with a reading this recent is measured."""
+"""Largest age, ticks, of the reading of a leg that counts as measured."""
 
 
 class Keeper:
-    """Owner of the homing file in a run. Mutable state: the cycle of the run, while the file is marked."""
+    """Reads and writes the homing file of a run. Mutable state: the run's cycle, while the file is marked."""
 
     def __init__(self, c: Configuration, *, emulated: bool, on_bench: bool = False) -> None:
-        """Read the file, if the drives have one; a rehearsal bench has none. Raises ConfigurationError."""
+        """Read the homing file, if drives have one; a bench has none. Raises ConfigurationError."""
         self._c = c
         without = c.drives.homing is None or on_bench
         self._path = None if without else homing_path(c, emulated=emulated)
@@ -46,7 +46,7 @@ class Keeper:
             write_homing(self._c, self._path, marked)
 
     def close(self) -> None:
-        """Write the final leg lengths once; after an error `trouble` has the reason."""
+        """Write the final leg lengths into the homing file, once; after an error `trouble` has the reason."""
         cycle, self._cycle, file = self._cycle, None, self._file
         if cycle is None or self._path is None or file is None:
             return
@@ -65,7 +65,7 @@ class Keeper:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
     def summary(self, cycle: Cycle) -> dict[str, Any]:
-        """Part of a run's summary; empty for drives with absolute encoders."""
+        """Entry `homing` of a run's summary; empty for drives with absolute encoders."""
         if self.last_pose is None:
             return {}
         added = unwrapped_turns(cycle.homing, self.last_pose)

@@ -1,4 +1,4 @@
-"""Leg lengths before a run: from the homing file, the plant's initial pose, or a log."""
+"""Leg lengths at rest before a run: from the homing file, the plant's initial pose, or a log."""
 
 import json
 
@@ -47,7 +47,7 @@ def home_lengths(c: Configuration) -> Array:
 
 
 def last_pose_of(c: Configuration, file: HomingFile | None, *, emulated: bool = True) -> LastPose | None:
-    """Leg lengths from the file, or of the plant's initial pose; None for drives with absolute encoders."""
+    """Leg lengths before a run, from the homing file or the plant; None for absolute encoders."""
     homing, transmission = c.drives.homing, c.drives.transmission
     if homing is None or transmission is None:
         return None
@@ -64,7 +64,7 @@ def last_pose_of(c: Configuration, file: HomingFile | None, *, emulated: bool = 
 
 
 def attached(pose: LastPose | None) -> list[tuple[str, bytes]]:
-    """Attachment of a log for `pose`; floats are restored to the bit."""
+    """Attachment of a log with the leg lengths before its run; floats are restored bit by bit."""
     if pose is None:
         return []
     fields = {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in pose._asdict().items()}
@@ -72,7 +72,7 @@ def attached(pose: LastPose | None) -> list[tuple[str, bytes]]:
 
 
 def recorded(path: object, text: bytes | None) -> LastPose | None:
-    """Pose that `attached` has written; None for a log without it. Raises LogError."""
+    """Leg lengths before a run from the attachment of its log; None for a log without. Raises LogError."""
     if text is None:
         return None
     try:

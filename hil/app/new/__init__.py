@@ -1,1 +1,1 @@
-"""`hil new`: a configuration that passes `hil check`, from answers."""
+"""`hil new`: writes a configuration that passes `hil check`, from the user's answers to questions."""

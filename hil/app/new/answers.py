@@ -1,4 +1,4 @@
-"""Questions of `hil new`, one row each, with unit, range, default and plausibility check."""
+"""Questions of `hil new`, one table row each, with unit, range, default and plausibility check."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hil.mathematics.rounding import rounded
 
 
 class Figure(click.FloatRange):
-    """A finite number in a unit, of `DIGITS` digits."""
+    """Type of a numeric answer: a finite number in a unit, rounded to `DIGITS` digits."""
 
     def __init__(self, unit: str, low: float = 0.0, high: float | None = None) -> None:
         super().__init__(low, high)
@@ -32,7 +32,7 @@ class Figure(click.FloatRange):
         self.name = f"number in {unit} without the unit, with a decimal point"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Convert to a number."""
+        """Convert an answer to a rounded number; a number that is not finite is refused."""
         number = float(super().convert(value, param, ctx))
         return (
             rounded(number, DIGITS) if isfinite(number) else self.fail(f"{value} is not finite", param, ctx)
@@ -40,7 +40,7 @@ class Figure(click.FloatRange):
 
 
 def moments(text: str) -> str | list[float]:
-    """Three moments above 0 with commas, or `estimate`. Raises click.BadParameter for other text."""
+    """Parse three moments of inertia > 0, kg m^2, with commas, or `estimate`. Raises click.BadParameter."""
     if text == ESTIMATE:
         return text
     try:
@@ -53,7 +53,7 @@ def moments(text: str) -> str | list[float]:
 
 
 class Question(NamedTuple):
-    """Question of `hil new`, and its option on the command line."""
+    """One question of `hil new`, which is also an option on its command line."""
 
     key: str
     """Name of the answer with its unit; the option is the name without the unit."""
@@ -69,18 +69,18 @@ class Question(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit of the answer; empty without a unit."""
+        """Unit of the answer; empty for an answer without a unit."""
         return self.kind.unit if isinstance(self.kind, Figure) else "kg m2" if self.kind is moments else ""
 
     @property
     def option(self) -> str:
-        """Name of the option."""
+        """Command-line option of the question, e.g. `--base-radius`."""
         end = "_" + self.unit.replace("/", "_").replace(" ", "_")
         return "--" + self.key.removesuffix(end).replace("_", "-")
 
     @property
     def allowed(self) -> str:
-        """Unit and range, or the choices; empty without either."""
+        """Unit and range of the answer, or its choices, as text; empty without either."""
         if isinstance(self.kind, click.Choice):
             return ", ".join(self.kind.choices)
         if isinstance(self.kind, Figure) and self.kind.max is not None:

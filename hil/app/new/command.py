@@ -1,4 +1,4 @@
-"""`hil new`: a configuration from answers. It copies nothing from another robot."""
+"""`hil new`: writes a configuration from the user's answers, without copying from another robot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FMU_PARAMETERS = {
 def new_configuration(
     answers: Answers, path: Path, fmu: tuple[Path, Proposal] | None = None
 ) -> tuple[str, Configuration]:
-    """Text of a configuration to be stored at `path`, and the parsed configuration.
+    """(text, parsed configuration) from answers, to be stored at `path`.
 
     fmu: the plant in place of ours, as read by `recognised`. Raises ConfigurationError: the derived
     configuration is invalid.
@@ -54,7 +54,7 @@ def new_configuration(
 
 
 def recognised(fmu: Path) -> Proposal:
-    """Proposed mapping of an FMU's variables.
+    """Proposed mapping of an FMU's variables to leg forces, lengths and rates.
 
     Raises PlantError: not an FMU; ConfigurationError: six variables each of force, length and rate not found.
     """

@@ -1,4 +1,4 @@
-"""Values of `hil new` that follow from the answers, each by a stated rule."""
+"""Values of a new configuration that follow from the answers to `hil new`, each by a stated rule."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ ROOM = 1.01
 
 
 def values(a: Answers) -> dict[str, Any]:
-    """All values of the template except name and plant, from all answers."""
+    """All values of the configuration template except name and plant, from all answers."""
     home, rate_Hz = robot_at_home(a), a["rate_Hz"]
     found = platform_values(a) | frames(a, rate_Hz) | path(a, home)
     approach = lowered(min(0.1 * a["drive_speed_m_s"], 0.25 * a["stroke_m"]))
@@ -80,7 +80,7 @@ def values(a: Answers) -> dict[str, Any]:
 
 
 def frames(a: Answers, rate_Hz: float) -> dict[str, Any]:
-    """Values of sections `bus` (neighbouring legs share one), `drives` and `reactions`."""
+    """Values of sections `bus` (neighbouring legs share a bus), `drives` and `reactions`."""
     stem, n, own = "hil" if a["interface"] == "localcan" else "can", int(a["channels"]), drives.family(a)
     legs = np.arange(LEGS).reshape(n, -1).tolist()
     found: dict[str, Any] = {
@@ -112,13 +112,13 @@ def _frames_of(a: Answers, rate_Hz: float) -> tuple[BusSettings, DriveSettings]:
 
 
 def loop_rate_Hz(a: Answers) -> float:
-    """Highest of `RATES_Hz` whose frames fit the bus; for a slow plant at most `SLOW_Hz`."""
+    """Highest rate in `RATES_Hz` whose frames fit the bus; for a slow plant at most `SLOW_Hz`."""
     tried = [rate for rate in RATES_Hz if rate <= SLOW_Hz or not a.get(SLOW_PLANT)]
     return next((rate for rate in tried if bus_trouble(a, rate) is None), tried[-1])
 
 
 def bus_trouble(a: Answers, rate_Hz: float) -> str | None:
-    """Reason why the drives' frames do not fit the bus at a rate; None if they do."""
+    """Reason why the drives' frames do not fit the bus at a loop rate; None if they fit."""
     try:
         bus_budgets(*_frames_of(a, rate_Hz), SensorSettings(), rate_Hz)
     except ConfigurationError as error:
@@ -127,7 +127,7 @@ def bus_trouble(a: Answers, rate_Hz: float) -> str | None:
 
 
 def rate_trouble(a: Answers) -> str | None:
-    """Reason why bus or force resolution forbid a rate, and how many buses are enough; None if allowed."""
+    """Reason why bus or force resolution forbid a loop rate, with advice; None if the rate is allowed."""
     rate_Hz = a["rate_Hz"]
     if trouble := bus_trouble(a, rate_Hz):
         more = [n for n in CHANNELS if int(n) > int(a["channels"])]
@@ -144,7 +144,7 @@ def rate_trouble(a: Answers) -> str | None:
 
 
 def travel_trouble(a: Answers) -> str | None:
-    """Reason why a travel a turn does not suit stroke, torque or following error; None if it suits."""
+    """Reason why the leg travel per motor turn does not suit stroke, torque or error limit; else None."""
     if not drives.models(a):
         return drives.travel_trouble(a, 0.0)
     assumed = {"layout": drives.family(a).layout, "channels": "1"} | a
@@ -153,7 +153,7 @@ def travel_trouble(a: Answers) -> str | None:
 
 
 def _finest_m(a: Answers, rate_Hz: float) -> float:
-    """Least travel a turn, m, with a force resolution within the following error; 0: none known."""
+    """Least leg travel per turn, m, whose force resolution keeps the leg error in its limit; 0: unknown."""
     if not drives.models(a):
         return 0.0
     home = robot_at_home(a)
@@ -164,16 +164,16 @@ def _finest_m(a: Answers, rate_Hz: float) -> float:
 
 
 def wn_rad_s(rate_Hz: float) -> float:
-    """Natural frequency, low enough for every pose: at its crossover the loop's delay costs `PHASE_deg`.
+    """Natural frequency of the error dynamics, rad/s, for which the loop's delay costs `PHASE_deg` of phase.
 
-    Delay: one period to the drives, half a period of hold, the drives' lag.
+    It is low enough for every pose. Delay: one period to the drives, half a period of hold, the drives' lag.
     """
     delay_s = 1.5 / rate_Hz + 1.0 / (2.0 * pi * LAG_Hz)
     return lowered(np.deg2rad(PHASE_deg) / (CROSSOVER * delay_s))
 
 
 def path(a: Answers, home: AtHome) -> dict[str, Any]:
-    """Values of a path about home, an hour at most, that moves each leg by at most `EXCURSION` of its stroke.
+    """Values of section `reference`: a path about home, an hour at most, within `EXCURSION` of each stroke.
 
     The fastest leg uses at most a quarter of the drives' speed, and up to a half while a slow path fades out.
     The largest acceleration is 1 m/s^2, or what a tenth of the force left after holding can give.
@@ -198,7 +198,7 @@ def path(a: Answers, home: AtHome) -> dict[str, Any]:
 
 
 def walked(a: Answers, found: dict[str, Any]) -> Walk:
-    """Lengths, rates and forces along the path of these values."""
+    """Leg lengths, rates and forces along the path with these template values."""
     home, period_s = robot_at_home(a), 1.0 / a["rate_Hz"]
     reference = TypeAdapter(SinusoidReference).validate_python(settings("reference", found))
     trajectory = build_trajectory(reference, platform_settings(a).home, Path(), period_s)
@@ -206,7 +206,7 @@ def walked(a: Answers, found: dict[str, Any]) -> Walk:
 
 
 def steps(a: Answers, rate_Hz: float) -> tuple[float, float]:
-    """Quantisation error, by encoder and frames, of a length, m, and of its rate, m/s."""
+    """(length m, rate m/s): quantisation errors of leg readings, by encoder and frames."""
     read = build_protocol(*_frames_of(a, rate_Hz)).traits.resolution.at(rate_Hz)
     return max(float(read.length.max()), float(a["encoder_resolution_m"])), float(read.rate.max())
 

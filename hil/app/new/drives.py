@@ -1,4 +1,4 @@
-"""Drives of `hil new`: our own protocol, or a family on the market, one row each.
+"""Drive families that `hil new` offers: our own protocol `legs`, or families on the market, one row each.
 
 The robot's owner knows the leg length per turn of the shaft whose position the drive reports. All else
 follows from this travel, the drive's force and the fields of the family.
@@ -19,7 +19,7 @@ ROOM = 0.99
 
 
 class Family(NamedTuple):
-    """Settings of a drive family in the configuration."""
+    """Settings of a drive family in the new configuration."""
 
     protocol: str
     layout: str
@@ -44,7 +44,7 @@ FAMILIES: dict[str, Family] = {
 
 
 def family(a: Answers) -> Family:
-    """Family of the answers; `legs` before the question."""
+    """Drive family of the answers; `legs` until the question is answered."""
     return FAMILIES[a.get("drives") or LEGS_PROTOCOL]
 
 
@@ -54,23 +54,23 @@ def bought(a: Answers) -> bool:
 
 
 def counts_itself(a: Answers) -> bool:
-    """True if the resolution of a length is given by the family's frames."""
+    """True if the family's frames determine the resolution of a length."""
     return family(a).protocol in ("cia402", "mit")
 
 
 def models(a: Answers) -> tuple[str, ...]:
-    """Models with known ranges; empty for a family without ranges."""
+    """Drive models with known field ranges; empty for a family without ranges."""
     variant = VARIANTS.get(a.get("drives") or "")
     return () if variant is None else tuple(variant.models)
 
 
 def has_models(a: Answers) -> bool:
-    """True if the ranges depend on the model."""
+    """True if the drives' field ranges depend on the model."""
     return len(models(a)) > 1
 
 
 def model(a: Answers) -> str:
-    """Model in the family's spelling, found without regard to case; an unknown one as typed."""
+    """Drive model in the family's spelling, found without regard to case; an unknown model as typed."""
     typed = str(a["model"]) if has_models(a) else models(a)[0]
     return next((name for name in models(a) if name.casefold() == typed.casefold()), typed)
 
@@ -80,15 +80,15 @@ def _ranges(a: Answers) -> Ranges:
 
 
 def model_trouble(a: Answers) -> str | None:
-    """Reason why a model is unknown; None for a known one."""
+    """Reason why a drive model is unknown; None for a known model."""
     known = models(a)
     return None if model(a) in known else f"allowed with {a['drives']}: {', '.join(known)}, given: {model(a)}"
 
 
 def travel_trouble(a: Answers, finest_m: float) -> str | None:
-    """Reason why the travel a turn does not suit stroke or the model's fields; None if it suits.
+    """Reason why the leg travel per turn does not suit stroke or the model's fields; None if it suits.
 
-    finest_m: travel below which the torque resolution is too coarse, m.
+    finest_m: travel per turn below which the torque resolution is too coarse, m.
     """
     travel, stroke = a["travel_m"], a["stroke_m"]
     if not models(a):
@@ -110,11 +110,11 @@ def travel_trouble(a: Answers, finest_m: float) -> str | None:
 
 
 def force_step_N(a: Answers, travel_m: float) -> float:
-    """Force at the leg for one code of the model's torque, N."""
+    """Force at the leg for one code of the drive's torque field, N; travel_m: leg travel per turn, m."""
     return float(2.0 * _ranges(a).torque / (2 ** family(a).torque_bits - 1) * TURN / travel_m)
 
 
 def travels_m(a: Answers) -> tuple[float, float]:
-    """Least and largest travel a turn, m, that the ranges allow."""
+    """Least and largest leg travel per turn, m, that the ranges of the drive's fields allow."""
     r = _ranges(a)
     return a["stroke_m"] * TURN / (2.0 * ROOM * r.position), ROOM * TURN * r.torque / a["drive_force_N"]

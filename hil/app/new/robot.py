@@ -1,4 +1,4 @@
-"""Robot of the answers of `hil new`: values of section `platform`, and its state at home."""
+"""Robot described by the answers to `hil new`: values of section `platform`, and its state at home."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NOT_ASKED: Answers = {
 
 
 class AtHome(NamedTuple):
-    """State of the robot at mid-stroke, at rest."""
+    """State of the robot at home, with all legs at mid-stroke, at rest."""
 
     platform: Platform
     pose: tuple[Array, Array]
@@ -43,18 +43,18 @@ class AtHome(NamedTuple):
     J: Array
     """(6, 6), dq = J twist."""
     static_N: Array
-    """(6,) N."""
+    """(6,) N, leg forces that hold the platform at home."""
     leg_mass_kg: float
     """Largest eigenvalue of J^-T M J^-1: largest inertia along the legs for any common motion."""
 
     @property
     def held_N(self) -> float:
-        """Largest force of a leg at rest."""
+        """Largest force of a leg at rest at home, N."""
         return float(np.abs(self.static_N).max())
 
 
 def joints_apart_m(a: Answers) -> float:
-    """Horizontal distance between the two joints of each leg, m (law of cosines)."""
+    """Horizontal distance between the two joints of each leg at home, m (law of cosines)."""
     r, s = a["base_radius_m"], a["platform_radius_m"]
     between = radians(60.0 - a["base_half_angle_deg"] - a["platform_half_angle_deg"])
     return sqrt(max(r * r + s * s - 2.0 * r * s * cos(between), 0.0))
@@ -89,18 +89,18 @@ def platform_values(a: Answers) -> dict[str, Any]:
 
 
 def platform_settings(a: Answers) -> PlatformSettings:
-    """Section `platform` of the answers so far."""
+    """Section `platform` from the answers so far, with defaults."""
     return PlatformSettings.model_validate(settings("platform", platform_values(a)))
 
 
 def condition_at_home(a: Answers) -> float:
-    """Condition number of J at home; needs the geometry only."""
+    """Condition number of J at home; needs only the answers about the geometry."""
     s = platform_settings(a)
     return float(condition(build_platform(s), *pose_arrays(s.home)))
 
 
 def robot_at_home(a: Answers) -> AtHome:
-    """Robot of the answers so far. Raises GeometryError: physically impossible moments of inertia."""
+    """Robot at home from the answers so far. Raises GeometryError: impossible moments of inertia."""
     s = platform_settings(a)
     platform, home, still = build_platform(s), pose_arrays(s.home), np.zeros(6)
     model = Model(platform, reflected_mass=np.full(6, (_NOT_ASKED | a)["reflected_mass_kg"]))

@@ -1,4 +1,4 @@
-"""`hil new law NAME`, `hil new protocol NAME`: a starting package that runs and passes its contract tests."""
+"""`hil new law NAME`, `hil new protocol NAME`: writes a starting package that passes its contract tests."""
 
 import importlib.resources
 import keyword

@@ -1,4 +1,4 @@
-"""Template of a configuration, filled with values: numbers in YAML syntax, each with a comment."""
+"""Fills the template of a new configuration with values: numbers in YAML syntax, each with a comment."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def filled(section: str, values: Mapping[str, Any]) -> str:
 
 
 def settings(name: str, values: Mapping[str, Any]) -> Any:
-    """Section `name` as plain values, as a file with these values would be parsed."""
+    """Section `name` of the template as plain data, as a file with these values would be parsed."""
     (section,) = (each for each in SECTIONS if each.startswith(f"{name}:"))
     read: Any = parse(filled(section, values)).value
     return read[name]
 
 
 def flow(value: Any) -> str:
-    """Value on one line; floats with `DIGITS` digits in YAML 1.2 syntax."""
+    """Value as YAML on one line; floats with `DIGITS` digits in YAML 1.2 syntax."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{k}: {flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):

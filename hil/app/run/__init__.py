@@ -1,1 +1,1 @@
-"""`hil run`: the real-time daemon, and the plant that it starts."""
+"""`hil run`: the real-time controller, and the plant that it may start."""

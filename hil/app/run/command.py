@@ -1,4 +1,4 @@
-"""`hil run`: the real-time daemon on the controller PC, for drives or a plant that it starts itself."""
+"""`hil run`: the real-time controller, for real drives or for a plant that the command itself starts."""
 
 import contextlib
 import os
@@ -66,14 +66,13 @@ def run_daemon(
     with_watch: bool = False,
     on_bench: bool = False,
 ) -> dict[str, Any]:
-    """Run until parked, faulted or stopped; return the summary (key `success` is the outcome).
+    """Run the controller until parked, faulted or stopped; return the summary (key `success`).
 
-    arm: the platform may move as soon as the drives are ready; by default after Enter.
-    wait_for_arm: only the operator channel's `arm` lets it move.
-    faults: faults of the started plant, in the words of `--fault`.
-    with_watch: serve the live page as well.
-    on_bench: another process serves a rehearsal bench on the bus.
-    Raises ConfigurationError, BusError, PlantError, LogError or RunError before anything moves.
+    arm: the platform may move as soon as the drives are ready; by default after Enter. wait_for_arm: only
+    command `arm` on the operator channel lets it move. faults: faults of the started plant, in the words of
+    `--fault`. with_watch: also serve the page of `hil watch`. on_bench: another process serves an emulated
+    bench on the bus. Raises ConfigurationError, BusError, PlantError, LogError or RunError before anything
+    moves.
     """
     c = configuration
     c.require("run")
@@ -160,9 +159,9 @@ def run_daemon(
 
 
 def release_held(configuration: Configuration) -> dict[str, Any]:
-    """Make the running controller of a configuration release the held platform; return the summary.
+    """Make the running controller of a configuration release the platform that it holds with force.
 
-    Raises RunError: no controller runs, or it holds no platform.
+    Returns the summary. Raises RunError: no controller runs, or it holds no platform.
     """
     bus = configuration.bus
     with OperatorClient(bus.interface, bus.channel) as client:
@@ -189,7 +188,7 @@ def _say(text: str) -> None:
 
 
 def _explained(ending: Ending, c: Configuration, *, with_plant: bool) -> Ending:
-    """Ending with advice in its reason where no drive answered."""
+    """Ending with advice in its reason if no drive answered."""
     if ending.reason != NO_DRIVES:
         return ending
     start = "" if with_plant else f"; for a virtual plant start `hil plant {c.source}` first, or add --plant"

@@ -1,4 +1,4 @@
-"""The operator's consent at the terminal: Enter."""
+"""Reads the operator's consent to motion at the terminal: the Enter key."""
 
 import os
 import select
@@ -11,7 +11,7 @@ _LONGEST = 1024
 
 
 class EnterKey:
-    """Enter key of the terminal, while this process runs in its foreground.
+    """Enter key of the terminal, which counts while this process runs in its foreground.
 
     Mutable state: whether the first call has discarded earlier input; whether the terminal has closed.
     """

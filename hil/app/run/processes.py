@@ -1,4 +1,4 @@
-"""`hil plant` and `hil watch` as child processes of `hil run`, which end soon after it in any case."""
+"""Runs `hil plant` and `hil watch` as child processes of `hil run`, which end soon after it in any case."""
 
 import json
 import os
@@ -54,7 +54,7 @@ class _Child:
 
 
 class WatchProcess(_Child):
-    """`hil watch`, which prints its own link and ends with the run."""
+    """Child process `hil watch`, which prints its own link and ends with the run."""
 
     def __init__(self, c: Configuration) -> None:
         super().__init__("watch", c.source)
@@ -68,10 +68,10 @@ class WatchProcess(_Child):
 
 
 class SupervisedPlant(_Child):
-    """`hil plant`, the other end of the bus.
+    """Child process `hil plant`, the other end of the bus.
 
-    The platform is parked before it ends. It reports through a second pipe: an empty line when it serves, its
-    summary at the end. Its errors go to an unnamed file, which vanishes with the processes.
+    The platform is parked before the process ends. It reports through a second pipe: an empty line when it
+    serves, its summary at the end. Its errors go to an unnamed file, which vanishes with the processes.
 
     Mutable state: the process, the pipes, and the plant's unexpected end.
     """
@@ -83,7 +83,7 @@ class SupervisedPlant(_Child):
         faults: Iterable[str] = (),
         watchdog_s: float | None = None,
     ) -> None:
-        """Start the plant. watchdog_s: of drives without a watchdog frame; default: the configured one."""
+        """Start the plant. watchdog_s: of drives whose watchdog no frame sets; default: as configured."""
         self._said = b""
         self._trouble: str | None = None
         self._report, report = os.pipe()
@@ -117,17 +117,17 @@ class SupervisedPlant(_Child):
 
     @property
     def pid(self) -> int:
-        """Process number of the plant."""
+        """Process identifier of the plant."""
         return self._process.pid
 
     def trouble(self) -> str:
-        """Unexpected end of the plant as a sentence; empty while it runs."""
+        """Unexpected end of the plant as a sentence; empty while the plant runs."""
         if self._trouble is None and self._process.poll() is not None:
             self._trouble = f"the plant, process {self.pid}, {self._message()}"
         return self._trouble or ""
 
     def finish(self) -> dict[str, Any]:
-        """End the plant and return its summary."""
+        """Terminate the plant and return its summary."""
         before = self.trouble()
         self._end()
         while piece := os.read(self._report, 65536):

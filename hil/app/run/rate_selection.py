@@ -1,4 +1,4 @@
-"""Rate of the loop on this machine."""
+"""Selects the loop rate that this machine can hold."""
 
 from drivers.errors import RunError
 from hil.app.configuration.configuration import Configuration
@@ -10,10 +10,10 @@ RELAXED_WATCHDOG_S = 0.2
 
 
 def select_rate(c: Configuration, *, with_plant: bool, stretching: bool = False) -> tuple[float, float]:
-    """Rate (Hz) and drive watchdog (s): as configured, or as this machine can hold.
+    """(rate Hz, drive watchdog s): as configured, or as this machine can hold.
 
-    A bench with stretched time (`stretching`) keeps the configured ones.
-    Raises RunError: the loop may not be slowed down.
+    with_plant: the drives are emulated on this machine. stretching: the bench's time pauses while this
+    machine is late, so the configured values stay. Raises RunError: the loop may not be slowed down.
     """
     rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
     if stretching and c.loop.without_realtime == "slow":
@@ -41,7 +41,7 @@ def select_rate(c: Configuration, *, with_plant: bool, stretching: bool = False)
 
 
 def _lack(c: Configuration, *, with_plant: bool) -> str:
-    """Reason why the loop has no real time; empty if it has, or if its limits tolerate a stall.
+    """Reason why this machine cannot run the loop in real time; empty if it can, or if limits allow stalls.
 
     With the plant on the same machine SCHED_FIFO must be granted and kept: late feedback makes a leg stale.
     """
@@ -60,5 +60,5 @@ def _lack(c: Configuration, *, with_plant: bool) -> str:
 
 
 def patience(c: Configuration) -> int:
-    """Longest stall in periods that does not end a run."""
+    """Longest stall of the loop, in periods, that does not end a run."""
     return min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks)

@@ -1,4 +1,4 @@
-"""Bench time that stands still while this machine delays the controller or the drives."""
+"""Pauses of the bench's time while this machine delays the controller or the emulated drives."""
 
 from typing import Any
 
@@ -13,25 +13,25 @@ from drivers.frame_array import sent_frames
 from hil.app.configuration.configuration import Configuration
 from hil.safety.signals import HARMFUL_STRETCH_NS
 
-STRANGER = "another participant has sent on this channel: from then on bench time did not stand still"
+STRANGER = "another participant has sent on this channel: from then on simulated time was not paused"
 COUNTED_NS = 1_000_000
 """Shortest counted stretch: on a busy machine each wake-up causes a shorter one."""
 _LEAST_NS = 100_000
 
 
 def bench_clock(c: Configuration, bus: Bus) -> BenchClock | None:
-    """Clock that may stand still; None for hardware and for `on_stall: fault`."""
+    """Clock of a virtual bus whose time may pause; None for hardware and for `on_stall: fault`."""
     clock = bus.clock
     # all buses share one clock; with a hardware bus among them it is not a bench clock
     return clock if c.loop.on_stall == "stretch" and isinstance(clock, BenchClock) else None
 
 
 def begin(clock: BenchClock, c: Configuration, protocol: Family, opening: Rows, window_ns: int) -> None:
-    """Enable stretched time from now on; this side can hold the clock.
+    """Enable pauses of the bench's time from now on, held by this side as well.
 
-    opening: the frames that start a tick. The spare time is the feedback window without the bus time of these
-    and of the feedback frames, on the fullest bus. A sixth of it is the wake-up time of either end, a third
-    the time for answers.
+    opening: the frames that start a tick; window_ns: feedback window, ns. The spare time is the window
+    without the bus time of these and of the feedback frames, on the fullest bus. A sixth of it is the wake-up
+    time of either end, a third the time for answers.
     """
     bus_ns = max(
         sum(
@@ -47,7 +47,7 @@ def begin(clock: BenchClock, c: Configuration, protocol: Family, opening: Rows, 
 
 
 def stretches(stood_ns: Ints) -> dict[str, Any]:
-    """Summary of stretched time. stood_ns: time for which bench time stood still before each tick."""
+    """Summary of pauses of the bench's time; stood_ns (n,): pause before each tick, ns."""
     counted_ns = stood_ns[stood_ns >= COUNTED_NS]
     harmful = int(np.count_nonzero(counted_ns >= HARMFUL_STRETCH_NS))
     note = f"with real drives this machine would have ended the run: {harmful} of them are 4 ms or more"
@@ -60,11 +60,11 @@ def stretches(stood_ns: Ints) -> dict[str, Any]:
 
 
 def stood_still_line(bench_time: dict[str, Any]) -> str:
-    """The summary of `stretches` as a line; empty without a counted stretch."""
+    """The summary of `stretches` as a line of text; empty without a counted pause."""
     if not bench_time["stretches"]:
         return ""
     times, longest = bench_time["stretches"], bench_time["longest_ms"]
     return (
-        f"bench time stood still {times} times, {longest:g} ms at most, while this machine was late: "
-        "a real drive would have gone on"
+        f"simulated time paused {times} times, {longest:g} ms at most, while this machine was late: "
+        "a real drive would have continued"
     )

@@ -1,1 +1,1 @@
-"""`hil sim`: both ends of the bus in lockstep."""
+"""`hil sim`: simulates controller, bus, drives and plant in lockstep, in simulated time."""

@@ -1,4 +1,4 @@
-"""Lockstep of both ends of the buses, built from a Configuration."""
+"""Builds the lockstep simulation of both ends of the buses from a Configuration."""
 
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
@@ -12,10 +12,10 @@ from plant_fmu.drives.nodes import Nodes
 def build_lockstep(
     c: Configuration, cycle: Cycle, nodes: Nodes, first: int = 0, *, attended: bool = False
 ) -> Lockstep:
-    """Both ends on the configured buses, from tick `first` on; in layout `ideal` frames take no bus time.
+    """Lockstep simulation on the configured buses, from tick `first` on.
 
-    `attended`: an operator gives commands. Raises ConfigurationError: without an operator the run would wait
-    forever (see `unattended`).
+    In layout `ideal` frames take no bus time. attended: an operator gives commands. Raises
+    ConfigurationError: without an operator the run would wait forever (see `unattended`).
     """
     if not attended and without_operator(c) is not c:
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""`hil sim`: both ends of the bus in lockstep, in simulated time, as fast as the machine allows."""
+"""`hil sim`: simulates both ends of the bus in lockstep, as fast as the machine allows."""
 
 import contextlib
 import hashlib
@@ -46,7 +46,7 @@ UNHEARD = "no commands are given: operator.start, deadman_s and stays are left o
 
 
 class Script:
-    """Set-points of a CSV file, each in the first tick at or after its time along the live reference.
+    """Set-points of a CSV file, each given in the first tick at or after its time along the live reference.
 
     Mutable state: the number of set-points given. Raises ConfigurationError for a reference that accepts no
     set-points, and for an invalid file.
@@ -66,7 +66,7 @@ class Script:
         return len(self._t) - self._given
 
     def __call__(self, tick: int) -> tuple[SetPoint, ...]:
-        """Set-points of a tick."""
+        """Set-points that are due in a tick."""
         if self._cycle.mode is not Mode.TRACKING:
             return ()
         now, first = self._cycle.motion.time(tick), self._given
@@ -83,7 +83,7 @@ def run_identity(
     commands: Sequence[TimedCommand],
     last_pose: LastPose | None = None,
 ) -> str:
-    """Identity of a simulation: a digest of all its inputs.
+    """Identity of a simulation, hexadecimal: a digest of all its inputs.
 
     It contains neither time nor randomness: a repeated run has the same identity and the same rows.
     `last_pose`: the leg lengths that the controller assumes; their date is left out.
@@ -124,12 +124,12 @@ def simulate(
     commands: Sequence[TimedCommand] = (),
     plant_log: bool = False,
 ) -> dict[str, Any]:
-    """Run the configuration in lockstep, record it, and return the summary (key `success` is the outcome).
+    """Simulate the configuration in lockstep, record it, and return the summary (key `success`).
 
     live: draw a status line on standard error, and propose a shorter duration for a long reference.
     setpoints: CSV file of poses for a live reference, at times along it.
     commands: operator commands at simulated seconds. Without commands the run waits for no operator; where it
-    would wait for more than are given, it parks.
+        would wait for more commands than are given, it parks.
     plant_log: record the plant's true state in a second log, as `hil plant` does.
 
     Raises ConfigurationError for a configuration that cannot run, PlantError: the plant does not start.
@@ -224,7 +224,7 @@ def _run_to_end(
     setpoints: Script | None,
     script: CommandScript,
 ) -> Ending:
-    """Run to the end of the run or of its recorder; after Ctrl-C close the log, then raise."""
+    """Simulate to the end of the run or of its recorder; after Ctrl-C close the log, then raise."""
     recording, truth, path = logs
     cycle = lockstep.cycle
 

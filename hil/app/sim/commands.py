@@ -1,4 +1,4 @@
-"""Operator commands of a simulation: a list, or a file of lines `t_s word numbers`."""
+"""Operator commands of a simulation, from a list or a file with lines `t_s word numbers`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ A command that a client repeats ends with its duration: (2.5, "jog x 1 for 1.5")
 
 
 class CommandScript:
-    """Operator commands in each tick of a simulation.
+    """Operator commands to be given in each tick of a simulation.
 
     Mutable state: how many commands have been given, up to the last tick and up to the one before it; which
     were refused, with the last reason. Raises ConfigurationError for a command that the operator channel
@@ -67,7 +67,7 @@ class CommandScript:
         return inf if self.over else max(1, self._said[self._given][0] - tick)
 
     def __call__(self, tick: int) -> Given:
-        """Commands of a tick, in their order."""
+        """Commands that are due in a tick, in their order."""
         self._before = first = self._given
         while self._given < len(self._said) and self._said[self._given][0] <= tick:
             self._given += 1
@@ -81,7 +81,7 @@ class CommandScript:
         )
 
     def answered(self, operator: Sequence[str], orders: Sequence[str], setpoints: Sequence[str]) -> list[str]:
-        """Note the answers to the commands of the last tick, empty for accepted ones; return new refusals.
+        """Store the controller's answers, "" for accepted commands of the last tick; return new refusals.
 
         The answers are sorted by kind of command. A repeated command reports the same reason only once.
         """
@@ -100,7 +100,7 @@ class CommandScript:
 
 
 def read_commands(path: Path) -> list[TimedCommand]:
-    """Commands of a file, one a line: `t_s word numbers`; # begins a comment.
+    """Read operator commands from a file, one per line: `t_s word numbers`; # begins a comment.
 
     Raises ConfigurationError for a line without a time, and for a command that the controller would refuse.
     """
@@ -122,9 +122,9 @@ def read_commands(path: Path) -> list[TimedCommand]:
 
 
 def _said(t: float, text: str, rate_Hz: float, where: str) -> list[tuple[int, ParsedLine]]:
-    """A command with its ticks: `jog x 1 for 1.5` is repeated as often as a client sends it.
+    """A command with the ticks in which it is given: `jog x 1 for 1.5` is repeated as a client repeats it.
 
-    Raises ConfigurationError, which begins with `where`.
+    Raises ConfigurationError, whose message begins with `where`.
     """
     word, repeats, length = text.partition(" for ")
     times = [t]

@@ -1,6 +1,6 @@
-"""Both ends of the buses in one process and in simulated time, with the bus timing of the virtual bus.
+"""Simulates both ends of the buses in one process, in simulated time, with the virtual bus's timing.
 
-A frame takes its worst-case bit time, and the lowest identifier wins.
+A frame takes its worst-case bit time, and the lowest identifier wins arbitration.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,9 +46,9 @@ def _frames(at: Any, count: Any) -> Rows:
 
 @dataclass
 class Lockstep:
-    """Buses between a Cycle and Nodes, and the time that both share.
+    """Advances controller (Cycle), buses, and emulated drives with plant (Nodes) tick by tick.
 
-    Faults of the nodes that wait for a mode are notified when it is reached.
+    Faults of the nodes that wait for a mode are notified when the controller reaches it.
 
     Mutable state: the wires, the row of ticks, the tick, the last mode, the time at rest; the controller and
     the nodes. One run per instance.
@@ -86,7 +86,7 @@ class Lockstep:
         setpoints: tuple[SetPoint, ...] = (),
         orders: tuple[Order, ...] = (),
     ) -> tuple[TickInput, Rows, TickOutput]:
-        """Advance both ends by one tick."""
+        """Advance both ends by one tick with operator input; return (input, opening frames, output)."""
         k = self.advance(1, Given(operator, orders, setpoints)).start
         ticks = self.row.ticks
         heard, opened, sent = ticks.spans(k)
@@ -113,13 +113,13 @@ class Lockstep:
         return new
 
     def _look_at_nodes(self) -> None:
-        """Copy address and bus state of the nodes, which faults may change."""
+        """Copy address and bus state of the nodes, which faults may change, into the compiled record."""
         s, off = self.row.record, self.nodes.bus_off & self._all_buses
         s["nodes"] = self.nodes.address
         s["bus_off"], s["bus_state"] = off, BusState.OFF if off else BusState.UNKNOWN
 
     def _attend(self, stage: int, stopped: int) -> None:
-        """Do the work of a stage of the buses that needs Python."""
+        """Do the part of a bus stage that needs Python, when the compiled tick stops there."""
         s: Any = self.row.record
         match stage:
             case at.HEAR | at.LIVE:
@@ -132,7 +132,7 @@ class Lockstep:
                 self.wires.settle(stopped, _frames(s["frames"] + s["used"] * FRAME.itemsize, s["sent"]))
 
     def _live(self, stopped: int, *, first: bool) -> None:
-        """Advance the drives: in HEAR to the begin of the tick, else to the end of its SYNC or polls."""
+        """Advance the drives: in stage HEAR to the tick's begin, else to the end of its SYNC or polls."""
         s, wires = self.row.record, self.wires
         until_ns = int(s["tick"]) * self.period_ns if first else int(wires.record["synced_ns"])
         received = wires.commands[: s["early"] if first else wires.record["commands"]]
@@ -146,7 +146,7 @@ class Lockstep:
         s["stage"] += 1
 
     def _report_mode(self) -> None:
-        """Notify faults that wait for the mode of the controller."""
+        """Notify faults that wait for a mode of the controller when it is reached."""
         cycle = self.cycle
         mode = cycle.mode
         if mode is not self._mode:
@@ -170,7 +170,7 @@ class Lockstep:
         over: Callable[[], bool] = lambda: False,
         answered: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] = lambda *_: None,
     ) -> Ending:
-        """Engage, follow the reference, park; return the end of the run.
+        """Simulate a whole run: engage, follow the reference, park; return the end of the run.
 
         commands: operator input of a tick. answered: called afterwards with the reasons of refusal, empty for
         accepted commands. armed: engage without a command. over: True when the operator has no more commands.

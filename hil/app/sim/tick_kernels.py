@@ -1,4 +1,4 @@
-"""Compiled ticks of both ends of the buses: as many as need no work in Python."""
+"""Compiled simulation ticks of both ends of the buses: as many as need no work in Python."""
 
 from typing import Any
 
@@ -36,7 +36,7 @@ _wires_at, _nodes_at = record_at(record(WIRES)), record_at(NODES_RECORD)
 
 @helper
 def _lives(s: Any, until_ns: int, heard: int) -> int:
-    """Advance the drives to an instant, with the first `heard` frames received."""
+    """Advance the drives to an instant, with the first `heard` frames received; return the status."""
     if s.nodes == 0:
         return 1
     nodes, wires = _nodes_at(s.nodes), _wires_at(s.wires)
@@ -69,7 +69,7 @@ def _commands(s: Any, wires: Any, t_ns: int) -> int:
 
 @helper
 def _go_through(s: Any) -> int:
-    """Run a stage of the tick; return 0, or the reason to stop."""
+    """Run one stage of the tick; return 0, or the reason to stop."""
     t_ns, stage, wires = s.tick * s.period_ns, s.stage, _wires_at(s.wires)
     deadline_ns = t_ns + s.window_ns
     if stage == part.START:
@@ -94,7 +94,7 @@ def _go_through(s: Any) -> int:
 
 @kernel(record(LOCKSTEP), unlocked=True)
 def advance(s: Any) -> int:
-    """Advance until `count` ticks are done; return 0, or the reason to stop earlier, within a stage."""
+    """Simulate until `count` ticks are done; return 0, or the reason to stop earlier, within a stage."""
     while s.done < s.count:
         status = _go_through(s)
         if status != 0:

@@ -1,7 +1,7 @@
-"""Compiled bus traffic of one tick: SYNC or polls, answers, commands.
+"""Compiled bus traffic of one simulated tick: SYNC or polls, answers, commands.
 
 Each bus has its own arbitration and bit time. A frame takes its worst-case bit time, and the lowest
-identifier wins.
+identifier wins arbitration.
 """
 
 from typing import Any
@@ -67,7 +67,7 @@ def _copy(source: int, into: int) -> None:
 
 @helper
 def _same(a: Any, b: Any) -> bool:
-    """True if two frames are equal but for their times."""
+    """True if two frames are equal except for their times."""
     if a.id != b.id or a.length != b.length or a.flags != b.flags or a.bus != b.bus:
         return False
     return bool((a.data[: a.length] == b.data[: b.length]).all())
@@ -75,7 +75,7 @@ def _same(a: Any, b: Any) -> bool:
 
 @helper
 def _duration(w: Any, frame: Any) -> int:
-    """Duration of a frame on its bus, ns; < 0: the bus cannot carry it."""
+    """Duration of a frame on its bus, ns; < 0: the bus cannot carry the frame."""
     if frame.bus >= w.buses:
         return -1
     times = integers_at(w.times, w.buses * LENGTHS * FLAGS)
@@ -92,7 +92,7 @@ def _total(w: Any, frames: Any) -> int:
 
 @helper
 def _put(w: Any, frames: Any, t_ns: int, from_drive: int) -> int:
-    """Put frames into their nodes' transmit queues, each at its own instant, at the earliest at `t_ns`."""
+    """Put frames into their nodes' transmit queues, each at its own instant, but not before `t_ns`."""
     count = frames.shape[0]
     if w.waiting + max(w.commands, w.late) + count > w.room:
         return FULL
@@ -151,7 +151,7 @@ def _carry(w: Any, until_ns: int) -> None:
 
 @helper
 def _waits(w: Any, bus: int, opening: Any) -> bool:
-    """True if a frame that starts the tick waits for a bus."""
+    """True if a frame that starts the tick still waits for transmission on a bus."""
     queue = _queue_of(w)
     for k in range(w.waiting):
         if queue[k, WIRE] == bus:
@@ -164,7 +164,7 @@ def _waits(w: Any, bus: int, opening: Any) -> bool:
 
 @helper
 def _sent_ns(w: Any, frame: Any, t_ns: int) -> int:
-    """End of the last equal frame since an instant, ns; FOREVER: no such frame."""
+    """End, ns, of the last frame equal to `frame` since t_ns; FOREVER: no such frame."""
     for k in range(w.commands - 1, -1, -1):
         heard = frame_at(w.commands_at + k * _FRAME)
         if heard.t_ns >= t_ns and _same(heard, frame):
@@ -174,7 +174,7 @@ def _sent_ns(w: Any, frame: Any, t_ns: int) -> int:
 
 @helper
 def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
-    """Note the end of the frames that start the tick, for each leg, and the skew between the buses."""
+    """Store when the frames that start the tick ended, for each leg, and the skew between the buses."""
     w.latch_ns[:] = 0
     soonest = np.full(w.buses, FOREVER)
     for n in range(opening.shape[0]):
@@ -192,7 +192,7 @@ def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
-    """Deliver the frames that start the tick to the drives, and note the time."""
+    """Deliver the frames that start the tick (SYNC or polls) to the drives, and store their end time."""
     status = _put(w, opening, t_ns, 0)
     if status != DONE:
         return status
@@ -212,7 +212,7 @@ def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
 
 @kernel(record(WIRES), INTEGER)
 def heard_by(w: Any, t_ns: int) -> int:
-    """Number of frames for the drives that ended by an instant; they come first."""
+    """Number of frames for the drives that ended by t_ns; these come first in the array."""
     count = 0
     while count < w.commands and frame_at(w.commands_at + count * _FRAME).t_ns <= t_ns:
         count += 1
@@ -221,7 +221,7 @@ def heard_by(w: Any, t_ns: int) -> int:
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def pass_on(w: Any, replies: Any, until_ns: int, heard: int) -> int:
-    """Drop the first `heard` frames for the drives, and queue the drives' frames, each at its own instant."""
+    """Drop the first `heard` frames for the drives, and queue the drives' frames at their own instants."""
     status = _put(w, replies, ALWAYS, 1)
     if status != DONE:
         return status
@@ -235,7 +235,7 @@ def pass_on(w: Any, replies: Any, until_ns: int, heard: int) -> int:
 
 @helper
 def _at_once(w: Any, replies: Any, deadline_ns: int) -> bool:
-    """True if frames are queued at one instant on one idle bus, and end by the deadline."""
+    """True if all frames are queued at one instant on one idle bus, and end by the deadline."""
     if w.buses > 1 or w.waiting or replies.shape[0] == 0:
         return False
     first, last = replies[0].t_ns, replies[replies.shape[0] - 1].t_ns
@@ -250,7 +250,7 @@ def _is_fresh(w: Any, at: int, tick: int, t_ns: int) -> int:
 
 @helper
 def _last_wanted(w: Any, early: int) -> int:
-    """Number of answers when the last of the wanted identifiers has arrived; 0: one is missing."""
+    """Number of answers received when the last wanted identifier has arrived; 0 if one is missing."""
     wanted, missing = integers_at(w.wanted_at, w.wanted), integers_at(w.missing_at, w.wanted)
     missing[:] = 1
     left = w.wanted
@@ -286,7 +286,7 @@ def _take(w: Any, early: int, tick: int, t_ns: int, deadline_ns: int) -> None:
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER, INTEGER)
 def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
-    """Deliver the drives' answers to the controller; note how many it takes in this tick, and when."""
+    """Deliver the drives' answers to the controller; store how many it takes in this tick, and when."""
     w.commands, early = 0, w.late
     together = _at_once(w, replies, deadline_ns)
     status = _put(w, replies, ALWAYS, 1)
@@ -307,7 +307,7 @@ def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def command(w: Any, frames: Any, t_ns: int, until_ns: int) -> int:
-    """Queue the controller's commands, and drop the frames that it has taken.
+    """Queue the controller's command frames, and drop the feedback frames that it has taken.
 
     On a single idle bus they are transmitted at once if they end by `until_ns`, as no other frame is queued
     before.

@@ -1,4 +1,4 @@
-"""Buses between both ends of a simulation: their frames in arrays, and their time."""
+"""Buses between both ends of a simulation: their frames in arrays, and the time when each is free."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -21,7 +21,7 @@ FRAME_WORDS = FRAME.itemsize // 8
 
 @cache
 def frame_times_ns(timing: BitTiming | None) -> Ints:
-    """Worst-case duration of frames on a wire, ns, by length and flags; -1: invalid frame."""
+    """Worst-case duration of frames, ns, by data length and flags; -1: invalid frame; 0 without timing."""
     times = np.zeros((LENGTHS, FLAGS), np.int64)
     if timing is not None:
         times[:] = -1
@@ -32,13 +32,13 @@ def frame_times_ns(timing: BitTiming | None) -> Ints:
 
 
 class Wires:
-    """Buses between both ends: data of the kernels `begin`, `answer` and `command` of each tick.
+    """Buses between both ends of a simulation: data of the kernels `begin`, `answer` and `command`.
 
     Mutable state: the transmit queue, when each bus falls free, the frames on their way to either end.
     """
 
     def __init__(self, timings: Sequence[BitTiming | None], protocol: Family) -> None:
-        """timings: of each bus, None where frames take no time. protocol: of the controller."""
+        """timings: bit timing of each bus, None if frames take no time; protocol: of the controller's end."""
         self._timings, self._protocol = timings, protocol
         self.times_ns = np.array(list(map(frame_times_ns, timings)))
         self._free = np.full(len(timings), ALWAYS)
@@ -68,7 +68,7 @@ class Wires:
         """Frames for the controller: the first `record["taken"]`, then later ones."""
 
     def settle(self, status: int, frames: Rows) -> None:
-        """Make room after a kernel's status FULL, so that it can be called again.
+        """Make room after a kernel's status FULL, so that the kernel can be called again.
 
         Raises BusError for a frame that no bus can carry.
         """

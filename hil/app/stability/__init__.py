@@ -1,1 +1,1 @@
-"""`hil stability`: stability proofs for the configured law."""
+"""`hil stability`: proves stability of the configured control law, or reports why there is no proof."""

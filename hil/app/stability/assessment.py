@@ -1,4 +1,4 @@
-"""Assessment of a law's stability, and its lines and figures for laws that linearise the robot."""
+"""Result of a stability proof, and its lines and figures for laws that linearise the robot."""
 
 from typing import Any, Literal, NamedTuple
 
@@ -12,7 +12,7 @@ Status = Literal["proven", "conditional", "not proven", "unstable"]
 
 
 class Assessment(NamedTuple):
-    """Stability of one law in one configuration."""
+    """Result of the stability proof of one law in one configuration."""
 
     status: Status
     """`conditional`: proven if all of `conditions` hold, which are not checked. `unstable`: refuted."""
@@ -28,7 +28,7 @@ class Assessment(NamedTuple):
 
     @property
     def line(self) -> str:
-        """Status and claim in one line."""
+        """Status and proven statement in one line of text."""
         return f"{self.status}: {self.claim}"
 
 
@@ -37,7 +37,7 @@ NEGLIGIBLE = 0.01
 
 
 def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
-    """Sampled loops of the axes as lines and figures; each figure is the worst of all axes."""
+    """Sampled loops of the axes as lines of text and figures; each figure is the worst of all axes."""
     slowest, loops = judged.slowest, judged.every
     largest, rate = slowest.largest, slowest.decay_rate
     figures: dict[str, Any] = {"sampled": {"largest_pole": largest, "decay_rate_1_s": rate}}
@@ -73,9 +73,9 @@ def unstable(subject: Subject, radius: float) -> str:
 
 
 def certificate_lines(judged: Judged, K_P: Array, K_D: Array) -> tuple[list[str], dict[str, Any]]:
-    """Lyapunov function of the loop without sampling and delay, as lines and figures.
+    """Lyapunov function of the loop without sampling and delay, as lines of text and figures.
 
-    K_P and K_D (6,): the gains of the law; the axes have gamma times these.
+    K_P (6,) 1/s^2 and K_D (6,) 1/s: the gains of the law; the axes have gamma times these.
     """
     assert isinstance(judged.bound, Ultimate)
     proved = certificate(judged.bound.gamma * K_P, judged.bound.gamma * K_D)
@@ -104,7 +104,7 @@ def certificate_lines(judged: Judged, K_P: Array, K_D: Array) -> tuple[list[str]
 
 
 def bound_lines(judged: Judged, bound: Ultimate, axes: AxisSpace) -> tuple[list[str], dict[str, Any]]:
-    """Bound, and the contribution of the inertia error to it, as lines and figures."""
+    """Ultimate bound of the error, and the inertia error's part in it, as lines of text and figures."""
     inertia = judged.inertia
     least, largest = inertia.eigenvalues
     figures = {

@@ -15,7 +15,7 @@ from hil.mathematics.linear_system import LinearSystem
 
 
 def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Assessment:
-    """Judge e'' + K_D e' + K_P e = d with sampling, hold and delay."""
+    """Result of the proof for e'' + K_D e' + K_P e = d with sampling, hold and delay."""
     axes: AxisSpace = "pose" if dynamics.pose else "joint"
     K_P, K_D = dynamics.K_P, dynamics.K_D
     judged = bounded(subject, law, axes, K_P, K_D)
@@ -29,9 +29,9 @@ def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Asses
 def designed(
     subject: Subject, controller: LinearController, model: ModelSettings, conditions: list[str]
 ) -> Assessment:
-    """Judge a linear controller by the eigenvalues of the sampled loop, at the stated model errors.
+    """Result of the proof for a designed controller, by the eigenvalues of the sampled loop.
 
-    conditions: assumptions about the law that runs it.
+    The loop has the stated model errors. conditions: assumptions about the law that runs the controller.
     """
     sampled = subject.observing(sampled_controller(controller))
 
@@ -77,7 +77,7 @@ def bounded(
     d: float = 0.0,
     alpha: float = 0.0,
 ) -> Judged:
-    """Loop of a law with these gains, and its bound. d, m/s^2, and alpha: uncertainty of the law."""
+    """Loops of a law with gains K_P, K_D (6,), and error bound; d m/s^2, alpha: the law's own uncertainty."""
     assert law.believed is not None
     delay, period_s = law.lookahead, subject.axis.period_s
     pairs = [(float(p), float(d)) for p, d in zip(K_P, K_D, strict=True)]
@@ -98,7 +98,7 @@ def bounded(
 
 
 def assumed(subject: Subject, law: LawSettings) -> list[str]:
-    """Assumptions of a proof for this family of laws, in addition to the checked conditions."""
+    """Assumptions of a proof for laws with decoupled axes, in addition to the checked conditions."""
     conditions = []
     if stated_delay(subject.c) is not None:
         section = "estimation.wrench" if law.lookahead is None else "delay_compensation"

@@ -1,4 +1,4 @@
-"""Assessment of sliding mode and Lyapunov redesign: reaching condition, boundary layer, loop within it."""
+"""Stability of sliding mode and Lyapunov redesign: reaching condition, boundary layer, loop within it."""
 
 from math import isfinite, sqrt
 from typing import Any
@@ -20,7 +20,7 @@ RobustSettings = SlidingModeSettings | RobustInverseDynamicsSettings
 
 
 def robust(subject: Subject, law: RobustSettings) -> Assessment:
-    """Judge sliding mode or Lyapunov redesign by reaching condition, layer, and the loop within it."""
+    """Result of the proof for sliding mode or Lyapunov redesign: reaching, layer, and loop within it."""
     dynamics, name = law.error_dynamics(), "s" if isinstance(law, SlidingModeSettings) else "y"
     conditions = assumed(subject, law)
     if law.lookahead is not None:
@@ -74,7 +74,7 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
 
 
 def _inside(subject: Subject, judged: Judged, slope: float) -> float:
-    """Largest measured |de + slope e| of a leg in the linear loop, m/s."""
+    """Largest |de + slope e| of a leg that is measured in the linear loop, m/s; slope: 1/s."""
     step, rate_step = float(subject.drives.length.max()), float(subject.drives.rate.max())
     largest = 0.0
     for loops, bound in judged.bounds:
@@ -90,7 +90,7 @@ def _inside(subject: Subject, judged: Judged, slope: float) -> float:
 def _reaching(
     subject: Subject, law: RobustSettings, inertia: Inertia, d: Array, inside: float
 ) -> tuple[Reaching, str, list[str], dict[str, Any]] | str:
-    """Reaching result, text on the uncovered disturbance, lines and figures; or the reason why there is none.
+    """(result, text on the uncovered disturbance, lines, figures) of the reaching condition; or an error.
 
     d (6,): m/s^2, largest disturbance of each leg. inside: m/s, largest sliding variable of a leg.
     """

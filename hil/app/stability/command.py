@@ -1,4 +1,4 @@
-"""`hil stability CONFIG`: provable stability of the configured law, with figures and conditions."""
+"""`hil stability CONFIG`: provable stability of the configured control law, with figures and conditions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -20,7 +20,7 @@ SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
 def judge(
     c: Configuration, stated: Stated | None = None, tell: Callable[[float, float], None] = lambda *_: None
 ) -> Assessment:
-    """Assessment of a configuration's law.
+    """Result of the stability proof for a configuration's law.
 
     tell: progress callback, called with checked and total seconds of the reference. Raises
     ConfigurationError: the reference cannot be followed.
@@ -65,7 +65,7 @@ def assess(
 ) -> dict[str, Any]:
     """Summary of `hil stability`; `success` is True for a proof, even a conditional one.
 
-    Raises ConfigurationError.
+    force_N, torque_N_m: unknown load; model_error: relative error of masses. Raises ConfigurationError.
     """
     found = judge(c, Stated(Load(force_N, torque_N_m), model_error, payload))
     ridden = [shown_ranges(body) for body in c.platform.platform.payload if body.ranged]
@@ -92,7 +92,7 @@ def assess(
 
 
 def shown(summary: dict[str, Any]) -> list[str]:
-    """Summary as text."""
+    """Summary of `hil stability` as lines of text."""
     stated = summary["stated"]
     lines = [f"law {summary['law']}", f"status         {summary['status']}: {summary['claim']}"]
     lines += [f"  if           {condition}" for condition in summary["conditions"]]

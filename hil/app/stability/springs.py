@@ -1,7 +1,7 @@
-"""Stability of laws without linearisation: springs on legs or pose, with weight compensation.
+"""Stability of laws that act like springs on legs or pose, with weight compensation (PD, PID).
 
 The proofs hold for a reference at rest only, which the claim states. Laws without an energy function are
-judged by the eigenvalues at the rest pose (Lyapunov's indirect method).
+assessed by the eigenvalues at the rest pose (Lyapunov's indirect method).
 """
 
 from collections.abc import Callable
@@ -47,7 +47,7 @@ FIGURES: tuple[tuple[str, str, Callable[..., tuple[float, str]]], ...] = (
 
 
 def at_rest(subject: Subject) -> list[str]:
-    """Conditions on the reference for the proof of a set-point."""
+    """Conditions on the reference under which the proof for a set-point holds."""
     rests = subject.rest and not subject.live
     conditions = [] if rests else ["the reference rests; while it moves nothing is proven"]
     conditions += subject.unseen
@@ -61,7 +61,7 @@ def at_rest(subject: Subject) -> list[str]:
 
 
 def springs(subject: Subject, law: SpringSettings) -> Assessment:
-    """Judge a PD or PID with each payload: the worst verdict, and a line on figures worse with another.
+    """Result of the proof for a PD or PID: of the worst payload, with a line on figures worse with another.
 
     No payload is the worst in everything: the lightest leaves the smallest delay margin, the heaviest sags
     most.
@@ -91,14 +91,14 @@ def springs(subject: Subject, law: SpringSettings) -> Assessment:
 
 
 def _badness(one: Assessment) -> tuple[int, float, float]:
-    """Sort key, smallest for the worst: verdict, delay margin in ms, negative largest pole."""
+    """Sort key, smallest for the worst result: status, delay margin in ms, negative largest pole."""
     margin, pole = _figure(one, "delay_margin_ms"), _figure(one, "largest_pole")
     delay = inf if margin is None else float(f"{margin:.6g}")  # equal but for rounding
     return WORST_FIRST.index(one.status), delay, -(pole or 0.0)
 
 
 def _figure(one: Assessment, name: str) -> float | None:
-    """Figure of an assessment, the smallest of six; None if missing."""
+    """Figure of a result by name, the smallest of six; None if missing."""
     parts = [one.figures, one.figures.get("sampled", {}), one.figures.get("energy", {})]
     value = next((part[name] for part in parts if part.get(name) is not None), None)
     return None if value is None else float(np.min(value))
@@ -161,7 +161,7 @@ def _judge(subject: Subject, law: SpringSettings) -> Assessment:
 
 
 def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
-    """Judge a PD on six uncoupled legs with their own springs and dampers."""
+    """Result of the proof for a PD on six uncoupled legs with their own springs and dampers."""
     K_p, K_v = per_leg(law.kp_N_m), per_leg(law.kv_N_s_m)
     q = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R)
     linear, cubic = np.asarray(plant.stiffness_N_m), np.asarray(plant.stiffness_N_m3)
@@ -179,7 +179,7 @@ def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
 
 
 def law_forces(subject: Subject, law: SpringSettings) -> Forces:
-    """Forces of the law at rest; an integral is replaced by the forces that hold the weight."""
+    """Forces of the law at rest, as a function of the pose; an integral is replaced by holding forces."""
     start, platform = subject.path[0], subject.platform
     context = LawContext(platform, subject.c.platform.leg_spin, subject.axis.period_s)
     built: Law
@@ -206,7 +206,7 @@ def law_forces(subject: Subject, law: SpringSettings) -> Forces:
 
 
 def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str, Any], float]:
-    """The sampled loop as lines, figures, and its largest |z|."""
+    """The sampled loop as lines of text and figures, and its largest |z|."""
     radius = found.growth(subject.axis)
     figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
     line = f"sampled loop   largest |z| {radius:.4f} where it comes to rest, all axes together"
@@ -217,7 +217,7 @@ def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str,
 
 
 def _energy(subject: Subject, law: SpringSettings) -> tuple[bool, str, str]:
-    """True if the weight is compensated exactly; damping term of dV/dt; if empty, why there is no V."""
+    """(weight is compensated exactly, damping term of dV/dt, reason why there is no V if that is empty)."""
     model = law.believed
     if isinstance(law, PIDSettings):
         return False, "", "an integral"

@@ -1,4 +1,4 @@
-"""Subject of a stability proof, from a configuration: robot, model of the law, reference, loop."""
+"""Data of a stability proof, from a configuration: robot, model of the law, reference, loop."""
 
 from collections.abc import Callable
 from copy import copy
@@ -73,7 +73,7 @@ SURVEYED = (
 
 @dataclass(frozen=True)
 class Stated:
-    """Unknowns of the law that the user states."""
+    """Uncertainties of load, masses and payload that the user states for a stability proof."""
 
     load: Load = NO_LOAD
     model_error: float = 0.0
@@ -83,17 +83,17 @@ class Stated:
 
     @property
     def nothing(self) -> bool:
-        """True if nothing is stated."""
+        """True if the user states no uncertainty."""
         return self.load == NO_LOAD and self.model_error == self.payload.mass_kg == 0.0
 
 
 class Subject:
-    """Configuration as the subject of a proof."""
+    """Data of a stability proof: robots, law's model, reference, loop delays and drives."""
 
     def __init__(
         self, c: Configuration, stated: Stated, tell: Callable[[float, float], None] = lambda *_: None
     ) -> None:
-        """c: the configuration; stated: unknowns of the law; tell: as in `delay_effect.delay_effect`."""
+        """c: configuration; stated: uncertainties; tell: progress as in `delay_effect.delay_effect`."""
         self.c = c
         self.stated = stated
         self.tell = tell
@@ -102,7 +102,7 @@ class Subject:
         plant = c.plant.model if c.plant is not None else None
         self.plant = plant if isinstance(plant, StewartPlant) else None
         self.on_bench = isinstance(plant, BenchPlant)
-        """Six uncoupled legs."""
+        """True if the plant is six uncoupled legs."""
         known = (c.controller.believed or MechanicsSettings()) if self.plant is None else self.plant
         reflected = known.reflected_mass_kg
 
@@ -131,15 +131,15 @@ class Subject:
         """Resolution and losses of the drives."""
         limits = encoder_limits(c, c.loop.rate_Hz)
         self.push_N = limits.push_N if limits.watched_legs else np.zeros(6)
-        """Probe push of safety on a leg that stands still while legs stray from their reference."""
+        """Probe push (6,) N of the safety rules on a leg at rest while legs stray from their path."""
 
     @property
     def robot(self) -> Model:
-        """The robot; one of several if its payload varies, see `alone`."""
+        """The robot; the last of several if its payload varies, see `alone`."""
         return self.robots[-1]
 
     def alone(self) -> list[Self]:
-        """One subject for each robot."""
+        """One copy of this object for each robot, that is for each payload."""
         found = []
         for robot, carried in zip(self.robots, self.carried, strict=True):
             one = copy(self)
@@ -149,7 +149,7 @@ class Subject:
 
     @property
     def nothing(self) -> bool:
-        """True if no uncertainty of robot and load is stated."""
+        """True if neither user nor payload ranges state an uncertainty of robot and load."""
         return self.stated.nothing and len(self.robots) == 1
 
     @property
@@ -159,7 +159,7 @@ class Subject:
 
     @property
     def unseen(self) -> list[str]:
-        """Assumptions of every proof, except that a live reference rests."""
+        """Assumptions of every proof as texts, except that a live reference rests."""
         taken = []
         b = self.c.controller.believed or MechanicsSettings()
         guessed = "with the friction and the reflected masses of the law's model"
@@ -189,7 +189,7 @@ class Subject:
 
     @property
     def live(self) -> list[str]:
-        """Assumptions of a bound about a live reference."""
+        """Assumptions of a bound about a live reference, as texts; empty for another reference."""
         if not isinstance(self.c.reference, LiveReference):
             return []
         return ["the reference rests at home: the effect of its motion is not in the bound"]
@@ -208,7 +208,7 @@ class Subject:
         return controller if self.observer is None else observed(controller, self.observer)
 
     def undisturbed(self, bound: Ultimate) -> bool:
-        """True if no disturbance causes or sustains an error."""
+        """True if no disturbance causes or sustains a tracking error."""
         keeps = max(float(bound.d.max()), float(bound.read.max()))
         fresh = self.c.limits.stale_warn_ticks == 1  # the rate of decay assumes fresh feedback
         return self.rest and self.nothing and bound.exact and keeps <= NO_ERROR and fresh
@@ -223,7 +223,7 @@ class Subject:
         return build_model(settings.model_copy(update=bare), self.platform, self.c.platform.leg_spin)
 
     def friction(self, settings: ModelSettings) -> Friction:
-        """Error of the law's friction; a plant that is not ours has the friction of the law's model.
+        """Error of the friction that the law assumes; a foreign plant has the friction of the law's model.
 
         Dry friction holds a leg at rest, and the law still compensates the earlier rate: the two may add up.
         """
@@ -243,10 +243,10 @@ class Subject:
         d: float = 0.0,
         alpha: float = 0.0,
     ) -> Judged:
-        """All loops of a law with this model, and the worst bound for the stated unknowns.
+        """All loops of a law with this model, and the worst error bound for the stated uncertainties.
 
-        loops_of: the loop of each axis with a gain. ahead_s: prediction horizon of the law. d, m/s^2 for each
-        leg, and alpha, the norm of Gamma - I: uncertainty stated in the law's own section.
+        loops_of: the loop of each axis with a gain. ahead_s: prediction horizon of the law, s. d, m/s^2 for
+        each leg, and alpha, the norm of Gamma - I: uncertainty stated in the law's own section.
         """
         ends = self.linearised(model, axes)
         words = [f", with {one}" if len(self.robots) > 1 else "" for one in self.carried]
@@ -268,7 +268,7 @@ class Subject:
         return Judged(bounds[worst][0], every, bounds[worst][1], inertia, tuple(bounds), words[worst])
 
     def _late(self, linearised: Linearised, loops: list[Sampled], ahead_s: float) -> DelayEffect:
-        """Effect of the delays along the reference, for a law with the prediction horizon `ahead_s`."""
+        """Effect of the delays along the reference, for a law with the prediction horizon `ahead_s`, s."""
         if self.rest:
             return DelayEffect.none(stale_s(self.axis, ahead_s))
         trajectory = self.trajectory
@@ -285,7 +285,7 @@ class Subject:
     def _bound(
         self, end: Linearised, found: Local, loops: list[Sampled], late: DelayEffect, d: float, alpha: float
     ) -> Ultimate | str:
-        """Bound with the contributions of drives and safety, or the reason why there is none."""
+        """Error bound with the contributions of drives and safety, or the reason why there is no bound."""
         of_legs = there_and_back = np.eye(6)
         if end.axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]
@@ -313,7 +313,7 @@ class Subject:
         return [Linearised(robot, model, axes, load, friction) for robot in self.robots for model in believed]
 
     def outside(self, p: Array, R: Array) -> str | None:
-        """Limit that a pose violates: a soft end of a leg, or the condition number of J; None if none."""
+        """Limit that a pose violates, as text: a soft end of a leg or the condition of J; else None."""
         s, limits = self.c.platform, self.c.limits
         a, b = self.platform.base_joints, self.platform.platform_joints
         q = leg_lengths_kernel(a, b, p, R)
@@ -326,7 +326,7 @@ class Subject:
 
 
 def instants(trajectory: Trajectory) -> list[PoseSample]:
-    """Reference at evenly spaced instants; jittered where they are sparse; a single one at rest."""
+    """Reference sampled at evenly spaced instants; jittered if sparse; a single sample if at rest."""
     span = span_s(trajectory)
     count = min(max(SAMPLES, round(span / APART_s)), MOST)
     # Just inside the end, where the path still moves: outside it rests.
@@ -348,7 +348,7 @@ def peaks(platform: Platform, path: list[PoseSample]) -> tuple[Array, Array]:
 
 
 def drives_of(c: Configuration, dq: Array, ddq: Array) -> Drives:
-    """Drives of a configuration.
+    """Resolution and losses of a configuration's drives, as disturbances of a proof.
 
     dq, ddq (6,): largest rate, m/s, and acceleration, m/s^2, of each leg along the path. An unrequested
     reading may be up to UNASKED periods older than its poll.

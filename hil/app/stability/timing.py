@@ -1,4 +1,4 @@
-"""Timing of every guarantee: its premises about frames, and the additional delay that a run tolerates."""
+"""Timing of a stability proof: its premises about frames, and the additional delay that a run tolerates."""
 
 from math import inf
 
@@ -11,7 +11,7 @@ from hil.app.stability.assessment import Assessment
 
 
 def timed(c: Configuration, found: Assessment) -> Assessment:
-    """Assessment with its timing: premises, and the additional delay that a run tolerates."""
+    """Result of a proof with its timing added: premises, and the additional delay that a run tolerates."""
     if found.status not in {"proven", "conditional"}:
         return found
     parts = (found.figures.get("worst", {}), found.figures.get("sampled", {}))
@@ -27,7 +27,7 @@ def timed(c: Configuration, found: Assessment) -> Assessment:
 
 
 def timing(c: Configuration, *, counted: bool) -> list[str]:
-    """Premises about frames and limits. counted: the bound includes late feedback that does not warn."""
+    """Premises of a proof on frames and limits; counted: the bound includes late feedback without warning."""
     warned, feedback = c.limits.stale_warn_ticks, "feedback arrives in its tick"
     if warned > 1:
         key = f"limits.stale_warn_ticks {warned}"
@@ -41,9 +41,9 @@ def timing(c: Configuration, *, counted: bool) -> list[str]:
 
 
 def to_spare(c: Configuration, margin_s: float) -> tuple[float, str]:
-    """Additional delay, s, that a run tolerates, and its limit in words.
+    """(additional delay, s, that a run tolerates; text on what limits it).
 
-    margin_s: delay margin of the linear loop; `inf` without one.
+    margin_s: delay margin of the linear loop, s; `inf` without one.
     """
     traits, delay = build_protocol(c.bus, c.drives).traits, loop_delay(c)
     T, stale_s = delay.period_s, (c.limits.stale_fault_ticks - 1) * delay.period_s

@@ -1,1 +1,1 @@
-"""`hil watch`: a live page about a run from the mirror of its recorder, served by a separate process."""
+"""`hil watch`: serves a live page about a run, from shared memory of its recorder, in its own process."""

@@ -1,4 +1,4 @@
-"""Access rules of the page and of operation, for one request, without state.
+"""Access rules of the page of `hil watch`, for viewing and operating, checked for each request.
 
 The loopback address does not protect against pages of other sites in the same browser, or against DNS
 rebinding. So Host must be ours, Origin must be the page's, and every command needs the token.
@@ -16,7 +16,7 @@ _PORT = re.compile(r":\d+$")
 
 
 class Refused(Exception):  # noqa: N818 - an answer, not an error of the program
-    """Request that is answered with a status and a sentence only."""
+    """Request that is refused: HTTP status and a sentence."""
 
     def __init__(self, status: HTTPStatus, why: str) -> None:
         super().__init__(why)
@@ -24,7 +24,7 @@ class Refused(Exception):  # noqa: N818 - an answer, not an error of the program
 
 
 class Request(NamedTuple):
-    """Well-formed request."""
+    """Well-formed HTTP request to the page."""
 
     method: str
     path: str
@@ -35,14 +35,14 @@ class Request(NamedTuple):
 
     @property
     def cookies(self) -> dict[str, str]:
-        """Names and values of the header Cookie, including those of other servers on the host."""
+        """{name: value} of the header Cookie, including cookies of other servers on the host."""
         pairs = (each.strip().partition("=") for each in self.headers.get("cookie", "").split(";"))
         return {name: value for name, _, value in pairs}
 
 
 @dataclass(frozen=True)
 class Access:
-    """Rules of one server."""
+    """Access rules of one page server."""
 
     token: str
     port: int
@@ -54,7 +54,7 @@ class Access:
     """The configuration allows operation."""
 
     def check(self, request: Request) -> None:
-        """Refuse a request that may not view the page."""
+        """Raise Refused for a request that may not view the page."""
         self._check_host(request.headers.get("host", ""))
         origin = request.headers.get("origin")
         if origin not in {None, f"http://{request.headers.get('host', '')}"}:
@@ -67,7 +67,7 @@ class Access:
             self._check_token(request)
 
     def check_operate(self, request: Request) -> None:
-        """Refuse a request that may not operate."""
+        """Raise Refused for a request that may not send operator commands."""
         self.check(request)
         if not self.operate:
             raise Refused(
@@ -86,7 +86,7 @@ class Access:
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; includes the port, as browsers share cookies between ports."""
+        """Name of the token's cookie; includes the port, as browsers share cookies between ports."""
         return f"hil-watch-{self.port}"
 
     def _check_token(self, request: Request) -> None:

@@ -1,4 +1,4 @@
-"""`hil watch`: serve the page of the run on the bus of a configuration."""
+"""`hil watch`: serves the live page of the run on the bus of a configuration."""
 
 import contextlib
 import importlib.resources
@@ -27,7 +27,7 @@ _MEDIA = {"html": "text/html", "css": "text/css", "js": "text/javascript", "txt"
 
 
 def assets() -> dict[str, tuple[bytes, str]]:
-    """Files of the page: path -> content, media type."""
+    """Files of the live page: {path: (content, media type)}."""
     folder = importlib.resources.files("hil.app.watch").joinpath("assets")
     files = ((each, _MEDIA.get(each.name.rpartition(".")[2])) for each in folder.iterdir())
     found = {f"/{each.name}": (each.read_bytes(), f"{kind}; charset=utf-8") for each, kind in files if kind}
@@ -41,10 +41,10 @@ def watch(
     port: int | None = None,
     alive: int | None = None,
 ) -> dict[str, Any]:
-    """Serve until Ctrl-C, SIGTERM or the end of file of `alive`; return the summary.
+    """Serve the live page until Ctrl-C, SIGTERM or the end of file of `alive`; return the summary.
 
     host: address or name to listen on; beyond the loopback every request needs the token. port: None is PORT,
-    or a free one if PORT is in use; 0 is a free one. Raises RunError where it cannot listen.
+    or a free port if PORT is in use; 0 is a free port. Raises RunError if the server cannot listen.
     """
     listening = _listen(host, port)
     port = int(listening.getsockname()[1])
@@ -85,7 +85,7 @@ def _wait(alive: int | None) -> None:
 
 
 def _listen(host: str, port: int | None) -> socket.socket:
-    """Listening socket; without a given port a free one where PORT is in use."""
+    """Listening socket on a host; without a given port a free one if PORT is in use."""
     tried = (PORT, 0) if port is None else (port,)
     trouble = ""
     for each in tried:

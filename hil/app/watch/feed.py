@@ -1,4 +1,4 @@
-"""Server-sent events for the viewers, from the mirror of the present run."""
+"""Server-sent events for viewers of the live page, from the shared memory of the present run."""
 
 import json
 import time
@@ -10,7 +10,7 @@ from hil.app.watch.state import state
 from hil.record.mirror import MirrorReader
 
 PERIOD_S = 0.01
-"""Shortest period of reading the mirror, which the recorder fills every 20 ms."""
+"""Shortest period, s, of reading the shared memory, which the recorder fills every 20 ms."""
 FOLLOW_S = 0.5
 """Period of looking for a new run."""
 REPEAT_S = 0.25
@@ -18,9 +18,9 @@ REPEAT_S = 0.25
 
 
 class Feed:
-    """Follows the runs on one bus, each through its own mirror.
+    """Follows the runs on one bus, and turns their data into server-sent events.
 
-    Mutable state: the mirror, the events made from it (new objects when they change), and their times.
+    Mutable state: the shared memory of the run, the events (new objects when they change), and their times.
     """
 
     def __init__(self, path: Path) -> None:
@@ -36,7 +36,7 @@ class Feed:
         self.state = b""
 
     def look(self, now: float) -> None:
-        """Read new data. now: CLOCK_MONOTONIC, s."""
+        """Read new data of the run and renew the events. now: CLOCK_MONOTONIC, s."""
         if now - self._looked < PERIOD_S:
             return
         self._looked = now
@@ -83,13 +83,13 @@ class Feed:
 
 
 def event(name: str, data: Any) -> bytes:
-    """Server-sent event."""
+    """Server-sent event of type `name` with JSON data, as bytes."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return f"event: {name}\ndata: {text}\n\n".encode()
 
 
 def _shown_event(found: dict[str, Any]) -> dict[str, Any]:
-    """Event for the page, without the values behind the text of a finding."""
+    """Event of the log for the page, without the values behind the text of a finding."""
     text, _, last = found["text"].rpartition("\n")
     shown = text if text and last.startswith("{") else found["text"]
     return {"t": round(found["t_ns"] * 1e-9, 3), "level": found["level"], "text": shown}

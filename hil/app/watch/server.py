@@ -1,7 +1,7 @@
 """Server of the live page, with bounds on every resource that clients use.
 
-A connection has one request and its own thread, so that no client waits for another. A viewer that reads
-too slowly misses ticks, and is disconnected after a while.
+A connection has one request and its own thread, so that no client waits for another. A viewer that reads too
+slowly misses ticks, and is disconnected after a while.
 """
 
 import contextlib
@@ -75,13 +75,13 @@ def line_of(body: bytes) -> str:
 
 
 class Operating:
-    """Sends commands to the controller on a bus, each over its own connection: none waits for another."""
+    """Sends operator commands to the controller on a bus, each over its own connection."""
 
     def __init__(self, interface: str, channel: str) -> None:
         self._bus = interface, channel
 
     def say(self, line: str) -> tuple[bool, str]:
-        """Send a command; return (accepted, reason of a refusal)."""
+        """Send an operator command; return (accepted, reason of a refusal)."""
         try:
             with OperatorClient(*self._bus) as client:
                 if line == KEY:
@@ -93,7 +93,7 @@ class Operating:
         return answer.taken, answer.why
 
     def status(self) -> dict[str, Any] | None:
-        """Status of the controller; None without an answer."""
+        """Status of the controller; None if it does not answer."""
         try:
             with OperatorClient(*self._bus) as client:
                 return client.status()
@@ -102,7 +102,7 @@ class Operating:
 
 
 class Server(ThreadingMixIn, TCPServer):
-    """Serves one feed on a listening socket. Mutable state: connections, streams, commands in progress."""
+    """Serves the live page on a socket. Mutable state: connections, streams, commands in progress."""
 
     daemon_threads = True
     block_on_close = False
@@ -138,7 +138,7 @@ class Server(ThreadingMixIn, TCPServer):
             time.sleep(STATUS_S)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:  # noqa: ARG002 - of the base class
-        """Accept a connection. At the limit, the oldest one with an incomplete request is closed."""
+        """Accept a connection; at the limit close the oldest one whose request is incomplete."""
         with self.lock:
             if len(self.waits) >= MOST_CONNECTIONS:
                 first = next((each for each, waits in self.waits.items() if waits), None)
@@ -150,16 +150,16 @@ class Server(ThreadingMixIn, TCPServer):
         return True
 
     def shutdown_request(self, request: Any) -> None:
-        """Close a connection."""
+        """Close a connection and free its place."""
         with self.lock:
             self.waits.pop(request, None)
             super().shutdown_request(request)
 
     @contextmanager
     def stream(self, connection: socket.socket, *, ours: bool) -> Iterator[None]:
-        """Reserve a place for a stream. At the limit, one with the token takes the place of the oldest.
+        """Reserve a place for a viewer's stream; at the limit, a stream with the token replaces the oldest.
 
-        Streams without the token are closed first. Raises Refused without a place.
+        ours: it has the token. Streams without the token are closed first. Raises Refused without a place.
         """
         with self.lock:
             if len(self._streams) >= MOST_STREAMS:
@@ -177,7 +177,7 @@ class Server(ThreadingMixIn, TCPServer):
                 self._streams.pop(connection, None)
 
     def parts(self) -> tuple[bytes, bytes, bytes]:
-        """Description, events and state of the present. Each is a new object when it changes."""
+        """Events with description, log events and state of the run; each is a new object when it changes."""
         with self.lock:
             feed = self.feed
             feed.look(time.monotonic())
@@ -212,20 +212,20 @@ class _Bounded(io.RawIOBase):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """One request: check its form and its sender, then answer it."""
+    """Handles one HTTP request: checks its form and its sender, then answers it."""
 
     server: Server
     default_request_version = request_version = "HTTP/1.0"
     command = ""
 
     def setup(self) -> None:
-        """Read within bounds."""
+        """Prepare reading of the request within limits of bytes and time."""
         super().setup()
         self.rfile.close()
         self.rfile = io.BufferedReader(_Bounded(self.connection))
 
     def handle(self) -> None:
-        """Answer the request. A broken connection is ignored."""
+        """Answer the request; a broken connection is ignored."""
         with contextlib.suppress(OSError):
             try:
                 self.handle_one_request()
@@ -233,14 +233,14 @@ class Handler(BaseHTTPRequestHandler):
                 self._answer(refused.status, f"{refused.why}\n".encode(), "text/plain; charset=utf-8")
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> NoReturn:  # noqa: ARG002
-        """Refuse an invalid request."""
+        """Raise Refused for an invalid request."""
         raise Refused(HTTPStatus(code), message or "not a request of HTTP/1.1")
 
     def log_message(self, *_: object) -> None:
-        """Keep no log."""
+        """Keep no log of requests."""
 
     def do_GET(self) -> None:
-        """Send a file of the page, or the stream."""
+        """Send a file of the page, or the stream of events."""
         request = self._request()
         self.server.access.check(request)
         if request.path == "/stream" and self.command == "GET":
@@ -258,7 +258,7 @@ class Handler(BaseHTTPRequestHandler):
     do_HEAD = do_GET
 
     def do_POST(self) -> None:
-        """Forward a command, and answer as the controller does."""
+        """Forward an operator command to the controller, and send its answer."""
         request, operating = self._request(), self.server.operating
         self.server.access.check_operate(request)
         if request.path != "/operate" or operating is None:
@@ -295,7 +295,7 @@ class Handler(BaseHTTPRequestHandler):
         return Request(self.command, path, {name: each[-1] for name, each in values.items()}, headers)
 
     def _arrived(self) -> None:
-        """Mark the request as complete: the answer may take longer."""
+        """Mark the request as complete, so that the answer may take longer."""
         self.connection.settimeout(PATIENCE_S)
         with self.server.lock:
             if self.connection in self.server.waits:

@@ -1,4 +1,4 @@
-"""Row of a run for the page: plain finite values in the units of the screen."""
+"""State of a run for the live page: plain finite values in the units of the screen."""
 
 from math import isfinite
 from pathlib import Path
@@ -37,7 +37,7 @@ _FOLLOWS = range(Mode.RELEASING, Mode.PARKING + 1)
 def run_description(c: Configuration, log: Path, rate_Hz: float, duration_s: float | None) -> dict[str, Any]:
     """Name, geometry (joints (6, 3) m, home p (3,) m and R (9,)), limits, rate and log of a run.
 
-    duration_s: of the reference; None for one without an end.
+    duration_s: of the reference, s; None for a reference without an end.
     """
     robot = platform_dict(c.platform)
     p, R = pose_arrays(c.platform.home)
@@ -61,13 +61,13 @@ def run_description(c: Configuration, log: Path, rate_Hz: float, duration_s: flo
 
 
 def numbers(values: ArrayLike, digits: int) -> list[float | None]:
-    """Rounded values as a flat list; None for a value that is not finite."""
+    """Values rounded to `digits` decimals, as a flat list; None for a value that is not finite."""
     flat = np.asarray(values, np.float64).ravel().tolist()
     return [round(x, digits) if isfinite(x) else None for x in flat]
 
 
 def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
-    """State for the page, from a piece of the mirror. about: `run_description`; now_ns: CLOCK_MONOTONIC."""
+    """State for the live page, from a run's shared memory. about: `run_description`; now_ns: monotonic."""
     row, figures = piece.row, piece.figures
     mode = Mode(int(row["mode"]))
     follows = mode in _FOLLOWS

@@ -1,1 +1,1 @@
-"""`hil bringup`: the command, and its procedure of steps, which is free of bus, terminal and clock."""
+"""The command `hil bringup`, which commissions a machine step by step, each with the operator's consent."""

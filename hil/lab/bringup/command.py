@@ -1,4 +1,4 @@
-"""The command `hil bringup`: runs the procedure on a bus or on the rehearsal bench, and writes its files."""
+"""The command `hil bringup`: commissions a real or an emulated machine and writes the files found."""
 
 import contextlib
 import time
@@ -44,7 +44,7 @@ _TOGETHER = "together: six legs at reduced limits"
 
 
 class Together(NamedTuple):
-    """Result of the first motion of all six legs."""
+    """Result of the first motion of all six legs under the ordinary controller."""
 
     success: bool
     lines: list[str]
@@ -56,10 +56,10 @@ class Together(NamedTuple):
 def files_of(
     configuration: str, c: Configuration, state: Path | None, *, rehearsal: bool
 ) -> tuple[Path, Path, Path]:
-    """Paths of the state file, the configuration to write and the checklist.
+    """Paths of a bring-up's state file, of the configuration to write and of the checklist.
 
     They lie next to the given configuration file; for a shipped configuration, in the current folder. The
-    last two get the first number for which neither file exists yet.
+    last two get a number, so that no existing file is overwritten.
     """
     given = Path(configuration)
     folder = given.parent if given.is_file() else Path()
@@ -83,10 +83,10 @@ def run_bringup(
     yes: bool = False,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
-    """Bring a machine up, or rehearse it with a list of mistakes (may be empty); return the summary.
+    """Commission a machine, or rehearse that on an emulated bench; return the summary of the run.
 
-    yes: agree to all steps, allowed on a bench only. again: ignore the facts in the state file and start
-    over. Raises ConfigurationError, BusError, RunError before anything moves.
+    mistakes: assembly mistakes to emulate; None: drives on the bus. yes: consent to all steps, allowed on a
+    bench only. again: measure all again. Raises ConfigurationError, BusError, RunError before anything moves.
     """
     served = mistakes is None and is_served(hands_socket(c.bus.interface, c.bus.channel))
     rehearsed = mistakes is not None or served
@@ -101,7 +101,7 @@ def run_bringup(
     if store.changed:
         say(f"other hardware than in {state} ({store.changed}): everything is measured again")
     elif store.facts:
-        say(f"{state}: its facts are not measured again; --again starts over")
+        say(f"{state}: results stored there are not measured again; --again measures everything again")
     path = log_path(c.recording.folder, f"{c.name}-bringup", log)
     with contextlib.ExitStack() as outer:
         steps = outer.enter_context(contextlib.ExitStack())
@@ -184,7 +184,7 @@ def _write_found(
     *,
     rehearsed: bool,
 ) -> str:
-    """Write the configuration with findings if it loads; return the next command or the obstacle."""
+    """Write the corrected configuration if it is valid; return a line with the next command or the error."""
     try:
         loads(text, "found", c.folder)
     except ConfigurationError as error:
@@ -221,7 +221,7 @@ class _Journal:
             self._recording.event(self.t_ns, "info", text)
 
     def _recorded(self) -> bool:
-        """True while the recorder runs; the first time it does not, report why."""
+        """True while the recorder runs; once it has stopped, report the reason one time."""
         if not self.trouble:
             self.trouble = self._recording.trouble
             if self.trouble:
@@ -237,7 +237,7 @@ class _Journal:
 
 
 def _proceed(context: Context, *, hang: bool) -> tuple[Outcome, str]:
-    """Do the steps, then have the platform mounted if `hang`; return the outcome, and why it ended early."""
+    """Run all steps, then ask for the mounting of the platform if `hang`; return (outcome, early end)."""
     try:
         outcome = bring_up(context)
         if outcome.success and hang:
@@ -245,7 +245,7 @@ def _proceed(context: Context, *, hang: bool) -> tuple[Outcome, str]:
     except RefusedError as refusal:
         why = str(refusal)
     except KeyboardInterrupt:
-        why = "interrupted: forces zero, brakes shut; facts found so far are kept"
+        why = "interrupted: forces zero, brakes shut; results so far are kept"
     else:
         return outcome, ""
     return Outcome(tuple(context.facts.get("passed", {})), (), stopped="ended"), why
@@ -260,7 +260,7 @@ def _release(
     *,
     served: bool,
 ) -> Together:
-    """Move all six legs together, with the ordinary controller at the limits found.
+    """Move all six legs together for the first time, by the ordinary controller with the limits found.
 
     Refused if the log is incomplete. The homing file is written after the operator's consent.
     """
@@ -310,11 +310,11 @@ CAUSES: dict[Fault, tuple[str, ...]] = {
     Fault.SPEED: ("brake_stuck_open", "brake_inverted"),
     Fault.STALE | Fault.BUS | Fault.REFUSED_FRAMES: ("frames_lost", "absent"),
 }
-"""Faults of the first motion, and the mistakes that cause one of them."""
+"""Faults of the first motion -> assembly mistakes that can cause one of them."""
 
 
 def causes(faults: Fault) -> list[str]:
-    """Text lines: the mistakes that may have caused the faults of the first motion."""
+    """Lines of text: assembly mistakes that can cause the given faults of the first motion; may be empty."""
     names = dict.fromkeys(name for kinds, fitting in CAUSES.items() if faults & kinds for name in fitting)
     if not names:
         return []
@@ -323,7 +323,7 @@ def causes(faults: Fault) -> list[str]:
 
 
 def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:
-    """Mark the homing file, if there is one, before legs are moved by hand. Raises ConfigurationError."""
+    """Mark an existing homing file as outdated before legs are moved by hand. Raises ConfigurationError."""
     path = None if c.drives.homing is None else homing_path(c, emulated=False)
     if path is None or not path.exists():
         return
@@ -333,7 +333,7 @@ def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:
 
 
 def state_lengths(found: Configuration, context: Context, say: Callable[[str], None]) -> None:
-    """Write the lengths at the last known pose, where the platform hangs. Raises ConfigurationError."""
+    """Write the leg lengths of the last known pose to the homing file. Raises ConfigurationError."""
     path = None if found.drives.homing is None else homing_path(found, emulated=False)
     if path is not None:
         lengths = context.machine.pose_lengths[-1].tolist()
@@ -342,7 +342,7 @@ def state_lengths(found: Configuration, context: Context, say: Callable[[str], N
 
 
 def _log(c: Configuration, path: Path, clock: Clock | None) -> Recording:
-    """Start the recording. `clock` is that of the bus; None for a rehearsal, which runs in simulated time."""
+    """Start the recording. clock: clock of the bus; None for a rehearsal, which runs in simulated time."""
     return Recording.start(
         path,
         configuration=c.text,

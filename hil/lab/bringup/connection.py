@@ -1,8 +1,8 @@
-"""The other end of a bring-up: a machine on a bus, or a bench that another process serves there.
+"""Connects a bring-up to its drives: real drives on a bus, or a bench that another process emulates there.
 
-`hil plant --bench` simulates the operator's hands. `hil bringup` reaches them through a datagram socket next
-to the bus's own files; request and answer are JSON. Readings are the bench's true values with the errors of
-tape and gauge.
+`hil plant --bench` also simulates the operator's hands. `hil bringup` reaches them through a datagram socket
+next to the bus's own files; request and answer are JSON. Readings are the bench's true values with the errors
+of tape and gauge.
 """
 
 import contextlib
@@ -36,10 +36,10 @@ _ENDED = "the bench has ended; its last line of output gives the reason"
 
 
 class BusLine:
-    """Ticks on an open bus. Mutable state: the deadlines, the bus, the total pause of its time."""
+    """Exchanges frames on an open bus, tick by tick. Mutable state: deadlines, bus, total pause."""
 
     def __init__(self, bus: Bus, rate_Hz: float, window_s: float, *, watched: bool) -> None:
-        """Take an open bus; window_s: longest wait for answers in a tick; watched: drives have watchdogs."""
+        """window_s: longest wait for answers in a tick, s; watched: the drives have watchdogs."""
         self.rate_Hz, self._bus = rate_Hz, bus
         self._left = "the drives' watchdogs shut their brakes" if watched else f"the drives {NO_WATCHDOG}"
         self._deadlines = Deadlines(rate_Hz, 0.0, clock=bus.clock)
@@ -50,7 +50,7 @@ class BusLine:
         bus.drain_now()
 
     def exchange(self, opening: Sequence[Frame]) -> Heard:
-        """Wait for the next tick, send, and collect the frames of the window. Raises BusError."""
+        """Wait for the next tick, send `opening`, collect answers. Raises BusError if the bus is off."""
         _, t_ns, lateness_ns, _ = self._deadlines.wait()
         began = t_ns + lateness_ns
         before_ns, self._stood_ns = self._stood_ns, self._bus.clock.stretched()
@@ -76,7 +76,7 @@ class BusLine:
 def served_end(
     c: Configuration, bus: Bus, protocol: Family, person: Operator, agree: Agree, say: Say
 ) -> Iterator[tuple[Line, Operator]]:
-    """Yield the line to a bench served by another process, and its hands; the bench's time may pause."""
+    """Yield (bus line, simulated operator) of a bench in another process; the bench's time may pause."""
     say("a rehearsal bench is served on this bus: it does the requested actions by itself")
     clock, rate = bench_clock(c, bus), bringup_rate(c)
 
@@ -102,19 +102,19 @@ def served_end(
 
 
 def bus_line(c: Configuration, bus: Bus, protocol: Family) -> BusLine:
-    """The tick line of a bring-up on an open bus."""
+    """Exchange of frames on an open bus at the tick rate of a bring-up."""
     rate = bringup_rate(c)
     return BusLine(bus, rate, WINDOW / rate, watched=protocol.traits.has_watchdog)
 
 
 def hands_socket(interface: str, channel: str) -> Path:
-    """Path of the socket to the bench's hands on a bus."""
+    """Path of the Unix socket to the simulated operator of a bench that is served on a bus."""
     return runtime_folder() / f"hands-{safe_name(interface)}-{safe_name(channel)}"
 
 
 @contextlib.contextmanager
 def served_bench(c: Configuration, mistakes: Sequence[str]) -> Iterator[Bench]:
-    """Yield a bench with mistakes, its hands served by a socket. Raises ConfigurationError, RunError."""
+    """Yield an emulated bench with mistakes, and serve its operator. Raises ConfigurationError, RunError."""
     require_bench_faults([] if c.plant is None else c.plant.faults)
     path = hands_socket(c.bus.interface, c.bus.channel)
     if is_served(path):
@@ -132,7 +132,7 @@ def served_bench(c: Configuration, mistakes: Sequence[str]) -> Iterator[Bench]:
 
 
 def is_served(path: Path) -> bool:
-    """True if a process serves hands at this socket."""
+    """True if a process serves the simulated operator of a bench at this socket."""
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as probe:
         try:
             probe.connect(str(path))
@@ -158,7 +158,7 @@ def _bound(path: Path, server: Path | None = None) -> socket.socket:
 
 
 def _serve(door: socket.socket, hands: BenchHands) -> None:
-    """Handle one pending request, if any, and answer it."""
+    """Answer one pending request to the simulated operator, if any."""
     with contextlib.suppress(BlockingIOError):
         data, sender = door.recvfrom(_LONGEST)
         act, leg, value = json.loads(data)
@@ -168,17 +168,17 @@ def _serve(door: socket.socket, hands: BenchHands) -> None:
 
 
 class RemoteHands(Hands):
-    """The hands of a served bench. Mutable state: the socket."""
+    """Simulated operator of a bench that another process emulates. Mutable state: the socket."""
 
     def __init__(self, address: BusAddress, agree: Agree, say: Say) -> None:
-        """Connect to the hands on a bus. Raises RunError if none are served."""
+        """Connect to the simulated operator on a bus. Raises RunError if no bench is served there."""
         super().__init__(agree, say)
         self._server = hands_socket(address.interface, address.channel)
         self._own = self._server.with_name(f"{self._server.name}-{os.getpid()}")
         self._socket = _bound(self._own, self._server)
 
     def ask(self, request: Request) -> None:
-        """Send the request to the bench."""
+        """Show the request and send it to the bench. Raises RunError once the bench has ended."""
         self._say(f"    {request.text}")
         try:
             self._socket.send(json.dumps([request.act, request.leg, request.value]).encode())
@@ -186,7 +186,7 @@ class RemoteHands(Hands):
             raise RunError(_ENDED) from None
 
     def answer(self) -> float | None:
-        """The bench's answer, or None until it arrives. Raises RunError once the bench has ended."""
+        """The bench's reading, 0 for an action done, None until it arrives. Raises RunError at its end."""
         try:
             return float(json.loads(self._socket.recv(_LONGEST)))
         except OSError as error:

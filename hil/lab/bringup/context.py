@@ -13,26 +13,26 @@ from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from hil.lab.bringup.drives import Drives
 
 FORCE_SHARE = 0.02
-"""Largest force of any step, as a share of the rated force."""
+"""Largest motor force in any step of a bring-up, as a share of the rated force."""
 TRAVEL_M = 1e-3
-"""Travel at which a leg driven with one brake open is stopped."""
+"""Travel, m, at which a leg driven with an open brake is stopped."""
 OLD_TICKS = 3
 """Largest age of a reading, ticks, that is trusted while a brake is open."""
 SETTLED_S = 0.1
-"""Rest before a length is read: a late encoder reading would assign the last motion to the next leg."""
+"""Rest, s, before a length is read: a late reading would assign the last motion to the next leg."""
 MOVED_M = 1e-4
-"""Travel that counts as motion; a force ramp ends there."""
+"""Leg travel, m, that counts as motion; a force ramp ends there."""
 UNTIMED_S = 1.0
-"""Additional wait before the next brake opens, if this one has not been timed or closes late."""
+"""Additional wait, s, before the next brake opens, if this one was not timed or closes late."""
 TAPE_M = 2e-4
-"""Standard deviation of a length that the operator measures with the tape."""
+"""Standard deviation, m, of a length that the operator measures with a tape."""
 
 
 class Request(NamedTuple):
     """A manual action or a reading requested from the operator."""
 
     act: str
-    """Name by which a rehearsal bench does it."""
+    """Name of the action, by which an emulated bench performs it."""
     leg: int = -1
     value: float = 0.0
     """`move`: distance, m. `place`: share of the stroke. `hang`: index of the known pose."""
@@ -45,14 +45,14 @@ class Request(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A mistake found at the machine, by name."""
+    """A mistake found at the machine: its name, the legs, the measurement and the remedy."""
 
     name: str
     legs: tuple[int, ...]
     text: str
     """The measurement that shows it."""
     remedy: str
-    """The remedy."""
+    """What the operator should do."""
 
     @property
     def line(self) -> str:
@@ -62,24 +62,24 @@ class Finding(NamedTuple):
 
 
 def gap_of(text: str, instead: str) -> Finding:
-    """Finding about a property that these drives cannot prove; instead: the operator's duty in its place."""
+    """Finding for a property that these drives cannot show; instead: check that the operator does himself."""
     return Finding("not provable with these drives", (), text, instead)
 
 
 class Operator(Protocol):
-    """The person, or the simulation of one, at the machine. Mutable state: the open request."""
+    """The person at the machine, or a simulated one. Mutable state: the open request."""
 
     patience: float
     """Refused readings of one request before the bring-up ends; inf for a person, who can read again."""
 
     def consent(self, title: str, will: str, stop: str) -> bool:
-        """True if the operator lets a step begin; `will` says what it does, `stop` how to stop it."""
+        """True if the operator lets a step begin; will: the step's effect; stop: how to stop it."""
 
     def ask(self, request: Request) -> None:
-        """Request an action or a reading."""
+        """Start a request for an action or a reading; `answer` returns its result."""
 
     def answer(self) -> float | None:
-        """The reading, or 0 for an action done; None until then. Polled in every tick."""
+        """The reading, or 0 for an action done; None until the operator answers. Polled in every tick."""
 
     def tell(self, text: str) -> None:
         """Show a text to the operator."""
@@ -87,7 +87,7 @@ class Operator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """The machine as configured; lengths m, forces N."""
+    """Properties of the machine that a bring-up needs, from the configuration; lengths m, forces N."""
 
     node_ids: tuple[int, ...]
     protocol: str
@@ -122,13 +122,13 @@ class Machine:
         return self.length_max - self.length_min
 
     def turns_m(self, drive: int, off_m: float) -> float:
-        """Part, m, of a reading error `off_m` that is explained by whole turns forgotten by a drive."""
+        """Part, m, of a reading error `off_m` that whole turns forgotten by a drive at power-off explain."""
         step = 0.0 if self.forgotten_m is None else float(self.forgotten_m[drive])
         return step * round(off_m / step) if step else 0.0
 
     @property
     def force_N(self) -> float:
-        """Largest force at the leg in any step: FORCE_SHARE of the rated force, less the losses."""
+        """Largest force at the leg in any step, N: FORCE_SHARE of the rated force, less the losses."""
         return FORCE_SHARE * self.rated_N * (1.0 - self.losses)
 
 
@@ -146,46 +146,46 @@ class StoppedError(HilError):
 
 @dataclass
 class Context:
-    """One bring-up. Mutable state: the facts, by step and leg, as JSON values; the drives."""
+    """State of one bring-up. Mutable state: the drives; `facts`, results by step and leg as JSON values."""
 
     machine: Machine
     drives: Drives
     operator: Operator
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
     save: Callable[[], None] = lambda: None
-    """Called after every new fact."""
+    """Called after every new result, to store it."""
 
     def known(self, step: str, leg: int) -> Any:
-        """The fact of a step about a leg; None if it is still to be found."""
+        """Stored result of a step for a leg; None if not measured yet."""
         return self.facts.get(step, {}).get(str(leg))
 
     def table(self, step: str) -> dict[int, Any]:
-        """The known facts of a step, by leg or drive."""
+        """Stored results of a step, by number of the leg or drive."""
         return {leg: fact for leg in range(LEGS) if (fact := self.known(step, leg)) is not None}
 
     def missing(self, step: str) -> Iterator[int]:
-        """Iterate over the legs, or drives, for which a step has no fact yet."""
+        """Iterate over the legs, or drives, for which a step has no stored result yet."""
         return (leg for leg in range(LEGS) if self.known(step, leg) is None)
 
     def keep(self, step: str, leg: int | str, fact: Any) -> None:
-        """Store a fact and save all facts."""
+        """Store the result of a step for a leg, and save all results."""
         self.facts.setdefault(step, {})[str(leg)] = fact
         self.save()
 
     def lengths(self) -> Array:
-        """Leg lengths (6,) m as the drives read them. Raises StoppedError if a reading is too old."""
+        """Leg lengths (6,) m as the drives read them. Raises StoppedError if one is over OLD_TICKS old."""
         record = self.drives.record
         silent = np.flatnonzero(record["age"] > OLD_TICKS).tolist()
         if silent:
             blind = record["blind"][silent].all()
             why = "it answers without a length" if blind else "it is silent"
             text = f"no reading for {int(record['age'][silent[0]])} ticks: {why}"
-            remedy = "Look at cable, supply, encoder, counts per turn and gear, and give the command again."
+            remedy = "Check cable, supply, encoder, counts per turn and gear, and repeat the command."
             raise StoppedError(Finding("not_heard", tuple(silent), text, remedy))
         return np.array(record["length"])
 
     def take_down(self) -> None:
-        """Have the platform taken off the legs if it was hung, in this or an earlier run."""
+        """Ask the operator to take the platform off its legs, if this or an earlier run had it mounted."""
         if self.facts.get("platform", {}).get("hung"):
             text = "One brake is to open alone. Take the platform off and lay the legs on their trestles"
             self.ask(Request("take_down", text=text, word="down"))
@@ -194,7 +194,7 @@ class Context:
             self.save()
 
     def ask(self, request: Request, keep: Callable[[], object] | None = None) -> float:
-        """Answer to a request; `keep` runs every tick meanwhile, by default with all drives off.
+        """Ask the operator, return the answer; `keep` runs each tick meanwhile, by default all drives off.
 
         Raises RefusedError after too many readings outside the allowed range.
         """
@@ -223,16 +223,16 @@ class Context:
 
     @contextmanager
     def opened(self, leg: int, *, timed: bool = False) -> Iterator[None]:
-        """Open one brake without force; shut it on every exit. Raises StoppedError: no power.
+        """Open the brake of one leg without force; shut it on every exit. Raises StoppedError if not powered.
 
-        timed: the caller watches the brake close. If not, and if it may close late, UNTIMED_S are added.
+        timed: the caller times the closing. If not, and if it may be late, the exit waits UNTIMED_S longer.
         """
         self.take_down()
         timed = timed or (self.known("shuts", leg) or {}).get("late_s") == 0.0
         try:
             why = self.drives.power(leg)
             if why:
-                remedy = "Set up and prove the drives' watchdogs first; look at the drive's fault."
+                remedy = "Set up and prove the drives' watchdogs first; check the drive's fault."
                 raise StoppedError(Finding("not_powered", (leg,), why, remedy))
             for _ in range(self.drives.ticks(self.machine.brake_open_s)):
                 self.drives.step(DriveMode.RUN, leg)
@@ -245,14 +245,14 @@ class Context:
             self.drives.off(self.machine.brake_shut_s + (0.0 if timed else UNTIMED_S))
 
     def drive(self, drive: int, force: float = 0.0) -> None:
-        """Command a drive with an open brake for one tick, N. Raises StoppedError if it has lost power."""
+        """Command a force, N, to a drive with an open brake for one tick. Raises StoppedError: not in RUN."""
         record = self.drives.step(DriveMode.RUN, drive, force)
         self._heard(drive)
         state = DriveState(int(record["drive_state"][drive]))
         if state is not DriveState.RUN:
             why = self.fault_of(drive)
             text = f"the drive has gone from RUN to {state.name}{': ' * bool(why)}{why}"
-            remedy = "Look at the drive's fault; WATCHDOG: this machine stalled, or the bus did. Try again."
+            remedy = "Check the drive's fault; WATCHDOG: this machine or the bus stalled. Try again."
             raise StoppedError(Finding("lost_power", (drive,), text, remedy))
 
     def fault_of(self, drive: int) -> str:
@@ -263,7 +263,7 @@ class Context:
         return self.drives.protocol.fault_text(code) or f"code {code:#x} of its maker"
 
     def reads(self) -> dict[int, tuple[int, float]]:
-        """Leg counted by each drive with a known encoder, and its scale, m read per m by tape."""
+        """{drive: (leg, scale)}: the leg whose length a drive's encoder reads, and m read per m by tape."""
         return {
             fact["drive"]: (leg, fact["scale"])
             for leg, fact in self.table("encoder").items()
@@ -278,7 +278,7 @@ class Context:
             raise StoppedError(Finding("not_heard", (drive,), text, remedy))
 
     def travelled(self, since: Array) -> dict[int, float]:
-        """Travel of each leg, m by tape, since the readings `since` (6,). Raises StoppedError."""
+        """Travel of each leg, m by tape, since the readings `since` (6,) m. Raises StoppedError: silent."""
         for drive in self.reads():
             self._heard(drive)
         now = self.lengths()
@@ -291,14 +291,14 @@ _OTHERS = {
     "ids": "drives", "encoder": "drive", "opens": "legs",
     "held": "", "shuts": "", "force": "", "gauge": "", "watchdog": "",
 }  # fmt: skip
-"""Steps with facts about one leg or its drive, and the key of the other legs or drives in the fact."""
+"""Steps with results for one leg or drive -> key in a result that lists other legs or drives."""
 
 
 def forget_legs(facts: dict[str, dict[str, Any]], legs: Collection[int]) -> None:
-    """Drop the facts about some legs or their drives, about the platform, and about steps passed.
+    """Delete the stored results about some legs or their drives, about the platform, and about steps passed.
 
-    With exchanged node numbers a fact about one leg names another drive, so every fact that names a listed
-    leg or drive is dropped.
+    With exchanged node numbers a result for one leg refers to another drive, so every result that refers to a
+    listed leg or drive is deleted.
     """
     for step, key in _OTHERS.items():
         table = facts.get(step, {})
@@ -311,7 +311,7 @@ def forget_legs(facts: dict[str, dict[str, Any]], legs: Collection[int]) -> None
 
 
 class Step(NamedTuple):
-    """One step: announced before it runs, judged by its measurements."""
+    """One step of a bring-up: its announcement, its measurements and the evaluation of its results."""
 
     name: str
     title: str
@@ -320,21 +320,21 @@ class Step(NamedTuple):
     stop: str
     """Announcement: how to stop it."""
     find: Callable[[Context], None]
-    """Find the facts that are not known yet. Raises StoppedError."""
+    """Measure the results that are not stored yet. Raises StoppedError."""
     judge: Callable[[Context], Iterable[Finding]]
-    """Derive the findings from the facts."""
+    """Derive the findings from the stored results."""
     kept: bool = True
     """A passed step is not repeated for the same hardware."""
     gate: bool = True
     """A finding ends the bring-up here; otherwise the next steps still look for its cause."""
     by_drive: bool = False
-    """It finds one fact per drive."""
+    """The step stores one result per drive."""
     gap: Callable[[Context], Finding | None] = lambda _: None
     """Property that cannot be proven with these drives; with one, the step has not passed."""
     tables: tuple[str, ...] = ()
-    """Tables of its facts; empty: one table with the name of the step."""
+    """Names of its tables of results; empty: one table with the name of the step."""
 
     def kept_whole(self, c: Context, many: int) -> bool:
-        """True if the step passed before and each of its tables still has all `many` facts."""
+        """True if the step passed before and each of its tables of results still has `many` entries."""
         passed = self.kept and self.name in c.facts.get("passed", {})
         return passed and all(len(c.facts.get(table, {})) == many for table in self.tables or (self.name,))

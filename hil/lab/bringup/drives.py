@@ -31,7 +31,7 @@ class Heard(NamedTuple):
 
 
 class Line(Protocol):
-    """The bus to six drives. Mutable state: the tick, and the frames in transit."""
+    """Exchanges frames with six drives, tick by tick. Mutable state: the tick, and the frames in transit."""
 
     rate_Hz: float
 
@@ -58,7 +58,7 @@ Sink = Callable[[Record, Sequence[Received], Sequence[Frame]], None]
 
 
 class Drives:
-    """Commands of the bring-up, one tick per call of `step`.
+    """Sends the drive commands of a bring-up, one tick per call of `step`.
 
     Mutable state: the tick, its record, the two controller ends (of drives that may be powered, and of the
     others), the drive that may be powered, and the drive that the last command addressed.
@@ -86,7 +86,7 @@ class Drives:
         self._commanded: int | None = None
 
     def ticks(self, seconds: float) -> int:
-        """Number of ticks in a time, at least one."""
+        """Number of ticks in a time in s, at least one."""
         return max(1, round(seconds * self.line.rate_Hz))
 
     @property
@@ -168,7 +168,7 @@ class Drives:
     # set-up
 
     def prepare(self, leg: int | None) -> tuple[str, ...]:
-        """Clear faults, set up `leg` alone or all for power; return unconfirmed settings per drive."""
+        """Clear faults, set up drive `leg` or all drives for power; return unconfirmed settings per drive."""
         for _ in range(self.protocol.traits.reset_ticks if self._faulted() else 1):
             self.step(DriveMode.RESET if self._faulted() else DriveMode.OFF)
         self._alone = leg
@@ -182,7 +182,7 @@ class Drives:
         return lacks
 
     def lacks(self) -> tuple[str, ...]:
-        """Settings that each drive has not confirmed."""
+        """Text per drive: settings that it has not confirmed; empty if it has confirmed all."""
         live, rest = self._live.lacks(), self._rest.lacks()
         return tuple(live[k] if self._powers(k) else rest[k] for k in range(LEGS))
 
@@ -200,7 +200,7 @@ class Drives:
         return sent_frames(frames)
 
     def identities(self, legs: Collection[int] = range(LEGS)) -> tuple[dict[str, int], ...]:
-        """Request the identity of some drives, commanded off; return the values reported. Sets `serials`."""
+        """Request the identity of drives `legs` while off; return {name: value} per drive. Sets `serials`."""
         answers: tuple[dict[str, Said], ...] = tuple({} for _ in range(LEGS))
         self.serials = tuple(set() for _ in range(LEGS))
         requests = self.protocol.traits.identity_requests
@@ -224,7 +224,7 @@ class Drives:
     # one brake
 
     def power(self, leg: int) -> str:
-        """Power a drive on its shut brake, the five others locked out; return the obstacle, else ""."""
+        """Power one drive on its shut brake, the others off or locked; return the obstacle, "" for none."""
         lacks = self.lacks()
         if self.locks or self._faulted() or any(lacks):
             lacks = self.prepare(leg)
@@ -240,28 +240,28 @@ class Drives:
                 return ""
         self.off()
         if out:
-            return f"legs {out} did not latch the fault of their watchdog of {1e6 * LOCK_S:g} us"
+            return f"legs {out} did not go to FAULT by their watchdog of {1e6 * LOCK_S:g} us"
         return f"leg {leg} is {DriveState(int(states[leg])).name}, not READY"
 
     def carried(self, leg: int, force: float) -> float:
-        """Force, N, on a leg at rest for a commanded `force`, after rounding by the frame's field."""
+        """Force, N, on a leg at rest for a commanded `force`, N, after rounding to the frame's field."""
         forces = np.zeros(LEGS)
         forces[leg] = force
         return float(self._live.carried(forces)[leg])
 
     def force_step(self, leg: int, force: float) -> float:
-        """Resolution of commands between half a force and all of it, N; 0: too fine to matter."""
+        """Resolution, N, of commands between `force`/2 and `force`; 0 if finer than 1/400 of `force`."""
         carried = {self.carried(leg, force * (0.5 + 0.5 * k / _PROBES)) for k in range(_PROBES)}
         return 0.5 * force / len(carried) if len(carried) < _PROBES else 0.0
 
     def off(self, seconds: float = 0.0) -> None:
-        """Take force and power from all drives, for at least SAFE_TICKS."""
+        """Command all drives to zero force and no power for `seconds`, for at least SAFE_TICKS ticks."""
         for _ in range(max(SAFE_TICKS, self.ticks(seconds))):
             self.step(DriveMode.OFF)
 
 
 def shares_commands(protocol: Family, setup: DriveSetup) -> bool:
-    """True if one frame powers several drives: frames for several drives differ between OFF and RUN."""
+    """True if one frame powers several drives; found by comparing the frames for OFF and RUN."""
 
     def shared(mode: DriveMode) -> list[Frame]:
         end = protocol.controller_end(setup)

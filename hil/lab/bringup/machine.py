@@ -1,4 +1,4 @@
-"""The machine of a bring-up, derived from a configuration."""
+"""Derives the machine data that a bring-up needs from a configuration."""
 
 import contextlib
 
@@ -30,13 +30,13 @@ PERIODS = 5.0
 
 
 def bringup_rate(c: Configuration) -> float:
-    """Tick rate of a bring-up, Hz: slow, but with PERIODS within the drives' watchdog."""
+    """Tick rate of a bring-up, Hz: FASTEST_Hz, or more for PERIODS per watchdog, up to the loop's rate."""
     least = PERIODS / (1e-3 * c.drives.watchdog_ms)
     return min(c.loop.rate_Hz, max(FASTEST_Hz, least))
 
 
 def known_poses(c: Configuration) -> list[tuple[Array, Array]]:
-    """Position (3,) m and rotation (3, 3) of home and a tilted pose. Raises ConfigurationError."""
+    """Position (3,) m and rotation (3, 3) of home and a tilted pose. Raises ConfigurationError: no reach."""
     return [pose_arrays(pose) for pose in _known(c)]
 
 
@@ -63,7 +63,7 @@ def _words(pose: Pose) -> str:
 
 
 def build_machine(c: Configuration, protocol: Family) -> Machine:
-    """The machine of a configuration. Raises ConfigurationError: the known poses are out of reach."""
+    """Machine data of a configuration. Raises ConfigurationError if a known pose is out of reach."""
     platform, gear, homing = build_platform(c.platform), c.drives.transmission, c.drives.homing
     poses = known_poses(c)
     joints = [
@@ -98,7 +98,7 @@ def build_machine(c: Configuration, protocol: Family) -> Machine:
 
 
 def presses(platform: Platform, p: Array, R: Array) -> float:
-    """Cosine between gravity and the direction from the platform's joints, at p and R, to the base's."""
+    """Cosine between gravity and the direction from platform to base joints at pose p (3,) m, R (3, 3)."""
     g = platform.gravity
     way = platform.base_joints.mean(axis=0) - p - R @ platform.platform_joints.mean(axis=0)
     sizes = float(np.linalg.norm(g) * np.linalg.norm(way))
@@ -106,7 +106,7 @@ def presses(platform: Platform, p: Array, R: Array) -> float:
 
 
 def unasked_identifiers(protocol: Family) -> frozenset[int]:
-    """Identifiers of frames that a protocol's drives send unsolicited."""
+    """CAN identifiers of the frames that a protocol's drives send unsolicited, e.g. heartbeats."""
     known: set[int] = set()
     for leg in range(LEGS):
         with contextlib.suppress(ProtocolError):

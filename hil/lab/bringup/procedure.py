@@ -1,6 +1,6 @@
-"""The bring-up procedure: steps in order, each with consent, up to the first failed gate; and its checklist.
+"""Runs the steps of a bring-up in order, each after the operator's consent, and formats its checklist.
 
-No later step begins while a gate has findings. Known facts are not measured again.
+A step marked `gate` begins only without findings, and ends the bring-up if it has one.
 """
 
 from collections.abc import Iterable
@@ -22,7 +22,7 @@ ENDS = frozenset({
 
 
 class Outcome(NamedTuple):
-    """Progress of a bring-up."""
+    """Result of a bring-up: steps passed, findings, and the step at which it ended early."""
 
     passed: tuple[str, ...]
     """Steps without a finding."""
@@ -39,7 +39,7 @@ class Outcome(NamedTuple):
 
 
 def bring_up(c: Context, steps: tuple[Step, ...] = STEPS) -> Outcome:
-    """Do the steps. Forces are zero and brakes shut on every exit, by return or by exception.
+    """Run the steps of a bring-up. Forces are zero and brakes shut on every exit, by return or exception.
 
     On return all drives have their own watchdogs again and no lock-out fault. Raises RefusedError if the
     operator does not consent.
@@ -86,11 +86,11 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
 
 
 def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
-    """Do a step unless it passed before; return True if it had, and its findings."""
+    """Run a step unless it passed before; return (passed before, findings)."""
     c.operator.tell(f"{step.name}: {step.title}")
     known = step.kept_whole(c, len(c.machine.pose_lengths) if step is mounted.STEP else LEGS)
     if not known and not c.operator.consent(step.title, step.will, step.stop):
-        raise RefusedError(f"ended before step {step.name}; facts found so far are kept")
+        raise RefusedError(f"ended before step {step.name}; results so far are kept")
     try:
         if not known:
             step.find(c)
@@ -100,9 +100,9 @@ def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
 
 
 def merged(c: Context, findings: list[Finding]) -> list[Finding]:
-    """Findings with symptoms of one cause merged: a wrong lead, or a drive that turns the wrong way.
+    """Merge findings that are symptoms of one cause: a wrong screw lead, or a drive that turns the wrong way.
 
-    A wrong encoder scale may also be a wrong lead if the force was not measured.
+    Without a force measurement a wrong encoder scale may also be a wrong lead.
     """
     named: dict[tuple[str, tuple[int, ...]], Finding] = {}
     more: list[Finding] = []
@@ -120,8 +120,8 @@ def merged(c: Context, findings: list[Finding]) -> list[Finding]:
                 named["scale_or_lead", legs] = gauge.scale_or_lead(legs[0], scale, None)
         if ("encoder_sign", legs) in named and ("force_sign", legs) in named:
             del named["encoder_sign", legs], named["force_sign", legs]
-            text = "its reading falls as it grows, and a force that should extend it shortens it"
-            remedy = "Turn the drive's direction of rotation."
+            text = "its reading falls as the leg extends, and a force that should extend the leg shortens it"
+            remedy = "Invert the drive's direction of rotation."
             named["drive_reversed", legs] = Finding("drive_reversed", legs, text, remedy)
     return [*named.values(), *more]
 
@@ -130,7 +130,7 @@ _UNITS = {"m", "s", "N", "kg"}
 
 
 def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str]:
-    """Lines of the checklist: each step with its verdict, below it the figures of each leg."""
+    """Lines of the checklist: each step, marked passed, failed or not provable, then the figures by leg."""
     lines, gaps = [], dict(outcome.gaps)
     for step in STEPS:
         figures, gap = _figures(c, step), gaps.get(step.name)
@@ -155,7 +155,7 @@ def _figures(c: Context, step: Step) -> list[str]:
 
 
 def _words(value: Any) -> str:
-    """A fact as text; the units come from its keys."""
+    """A stored result as text; its units come from its keys."""
     match value:
         case dict():
             words = []

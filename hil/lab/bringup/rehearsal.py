@@ -1,4 +1,4 @@
-"""The rehearsal: a bring-up against emulated drives on the rehearsal bench, in simulated time.
+"""Rehearses a bring-up against emulated drives with deliberate mistakes, in simulated time.
 
 Mistakes are given as text: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1 other=4 mounting`.
 """
@@ -39,11 +39,11 @@ Agree = Callable[[str, str, str], bool]
 """Asks for consent; arguments: title of a step, its effect, how to stop it."""
 Say = Callable[[str], None]
 UNLOADED = 0.5
-"""Share of its friction that a leg without load has."""
+"""Friction of a leg without load, as a share of its loaded friction."""
 
 
 def emulated(c: Configuration) -> PlantSettings:
-    """The section `plant` with a Stewart platform as model: the configured one, else the default."""
+    """Section `plant` of the configuration; its model becomes the default Stewart model if it has another."""
     model = StewartPlant(type="stewart")
     if c.plant is None:
         return PlantSettings(model=model)
@@ -53,7 +53,7 @@ def emulated(c: Configuration) -> PlantSettings:
 def build_bench(
     c: Configuration, wiring: Wiring, seed: int = 1, faults: FaultPlan | None = None
 ) -> RehearsalBench:
-    """The bench of a configuration's machine on trestles, with a wiring and planned faults."""
+    """Emulated bench: the machine's six loose legs on trestles, with a wiring and planned faults."""
     platform, plant = build_platform(c.platform), emulated(c)
     model = plant.model
     assert isinstance(model, StewartPlant)
@@ -72,7 +72,7 @@ def build_bench(
 
 
 class BenchLine:
-    """The bus to a bench, without transfer time. Mutable state: the tick, frames in transit."""
+    """Exchanges frames with an emulated bench, without transfer time. Mutable state: the tick, frames."""
 
     def __init__(self, nodes: Nodes, rate_Hz: float) -> None:
         self.rate_Hz = rate_Hz
@@ -92,7 +92,7 @@ class BenchLine:
         return Heard(t, heard)
 
     def send(self, frames: Sequence[Frame]) -> None:
-        """Deliver frames to the drives, at COMMAND_SHARE of the tick."""
+        """Deliver frames to the emulated drives, at COMMAND_SHARE of the tick."""
         t = self._tick * self._period_ns + round(COMMAND_SHARE * self._period_ns)
         self._take(self._nodes.step(t, [Received(t, frame) for frame in frames]))
 
@@ -109,7 +109,7 @@ class Hands:
         self._agree, self._say = agree, say
 
     def consent(self, title: str, will: str, stop: str) -> bool:
-        """Pass the question to `agree`."""
+        """Ask for consent to a step through `agree`."""
         return self._agree(title, will, stop)
 
     def tell(self, text: str) -> None:
@@ -118,7 +118,7 @@ class Hands:
 
 
 class BenchHands(Hands):
-    """Hands that read the bench's true values by tape and gauge. Mutable state: the answer."""
+    """Simulated operator who acts on an emulated bench and reads its gauges. Mutable state: the answer."""
 
     def __init__(
         self,
@@ -147,13 +147,13 @@ class BenchHands(Hands):
             self._say(f"    {request.text}: {'done' if self._answer == 0.0 else f'{self._answer:.4f}'}")
 
     def answer(self) -> float | None:
-        """The reading, or 0 for an action done; None if it was fetched before."""
+        """The reading, or 0 for an action done; None after the first call for a request."""
         answer, self._answer = self._answer, None
         return answer
 
 
 def mounted(c: Configuration, wiring: Wiring) -> Plant:
-    """The platform at home on its legs, with the mounting mistakes of the wiring. Raises PlantError."""
+    """Plant model of the platform at home, with the mounting mistakes of `wiring`. Raises PlantError."""
     model, wiring = emulated(c).model, wiring.as_mounted
     assert isinstance(model, StewartPlant)
     robot = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
@@ -180,7 +180,7 @@ def mounted(c: Configuration, wiring: Wiring) -> Plant:
 
 
 def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
-    """Run the first motion of a found configuration in lockstep, with its brake tests. Raises PlantError."""
+    """Simulate the first motion of all six legs with the configuration found. Raises PlantError."""
     c = unattended(c)
     pose = last_pose_of(c, None)
     pose = None if pose is None else pose._replace(length=home_lengths(c))
@@ -198,7 +198,7 @@ MOUNTING = "mounting"
 
 
 def mistake_of(words: str) -> Mistake:
-    """Parse one mistake. Raises ConfigurationError for an unknown or invalid one, with the allowed ones."""
+    """Parse one mistake, e.g. `encoder_scale leg=2 value=1.01`. Raises ConfigurationError: invalid."""
     name, *rest = words.split() or [""]
     mounting = rest[-1:] == [MOUNTING]
     rest = rest[:-1] if mounting else rest
@@ -223,7 +223,7 @@ def mistake_of(words: str) -> Mistake:
 
 
 def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
-    """Wiring with mistakes. Raises ConfigurationError: unknown, impossible, or without effect."""
+    """Wiring of an emulated bench with mistakes. Raises ConfigurationError: unknown, or without effect."""
     known = [mistake_of(words) for words in mistakes]
     if not protocol.traits.has_watchdog and not OF_WATCHDOG.isdisjoint(each.name for each in known):
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""Memory of a bring-up between its runs: facts, and the identity of the hardware that they describe."""
+"""State file of a bring-up between its runs: results, and the identity of the hardware they describe."""
 
 import hashlib
 import json
@@ -13,20 +13,20 @@ from hil.lab.bringup.context import Finding, forget_legs
 
 VERSION = 7
 _WHOLE = {"absent", "same_id", "wrong_protocol", "second_controller", "set_up"}
-"""Findings after which the bus is scanned again."""
+"""Findings after which all results are measured again."""
 _STANDS = "platform"
-"""Fact that survives a change of hardware: the platform hangs on the legs until somebody takes it down."""
+"""Result that survives a change of hardware: the platform hangs on the legs until taken down."""
 
 
 class Store:
-    """The state file. Mutable state: the facts, written at each change."""
+    """The state file of a bring-up. Mutable state: the results, written at each change."""
 
     def __init__(self, path: Path, identity: dict[str, Any], *, again: bool = False) -> None:
-        """Read the facts about this hardware; again: only whether the platform hangs. Raises RunError."""
+        """Read the results about this hardware; again: only that the platform hangs. Raises RunError."""
         self.path, self._identity = path, identity
         self.facts: dict[str, dict[str, Any]] = {}
         self.changed = ""
-        """Hardware that differs from the file; empty: none, or there is no file."""
+        """Parts of the hardware that differ from the state file; empty: equal, or no file."""
         if path.exists():
             self._read(again=again)
 
@@ -58,12 +58,12 @@ class Store:
             write_whole(self.path, json.dumps(there, indent=1) + "\n")
         except OSError as error:
             raise RunError(
-                f"{self.path}: the state cannot be written ({error.strerror}). It keeps the facts found "
-                "before the last fact; free disk space or choose another with --state, and repeat the command"
+                f"{self.path}: the state cannot be written ({error.strerror}). It keeps the results "
+                "before the last one; free disk space or choose another with --state, and repeat the command"
             ) from None
 
     def forget(self, findings: Iterable[Finding]) -> None:
-        """Drop the facts about the legs of the findings, so that they are measured again after the repair."""
+        """Delete the results about the legs of findings, so that they are measured again after the repair."""
         for finding in findings:
             if finding.name in _WHOLE:
                 for step in self.facts.keys() - {_STANDS}:
@@ -72,19 +72,19 @@ class Store:
         self.save()
 
     def forget_brakes(self) -> None:
-        """Drop the facts about brakes and about steps passed, so that the brakes are tested again."""
+        """Delete the results about brakes and about steps passed, so that brakes are tested again."""
         for step in ("held", "opens", "shuts", "passed"):
             self.facts.pop(step, None)
         self.save()
 
 
 def _check(*parts: Any) -> str:
-    """Checksum of the file's content: a changed digit could open a brake."""
+    """SHA-256 of the file's content; protects results whose change could open a brake."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def identity(c: Configuration, wiring: Iterable[str]) -> dict[str, Any]:
-    """Hardware described by a configuration, and the wiring of the rehearsal, as JSON values."""
+    """Hardware described by a configuration, and the mistakes of a rehearsal, as JSON values."""
     drives = c.drives.model_dump(mode="json")
     platform = c.platform.model_dump(mode="json")
     return {

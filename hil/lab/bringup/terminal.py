@@ -1,4 +1,4 @@
-"""The operator at a terminal: Enter confirms an action, a number is a reading, a word accepts a duty.
+"""The operator at a terminal: Enter confirms an action, a number is a reading, a word accepts a risk.
 
 `no`, or the end of the input, ends the bring-up. Lines typed ahead are kept for the next question.
 """
@@ -23,7 +23,7 @@ def _how(request: Request) -> str:
 
 
 class Terminal:
-    """Questions on a terminal that never delay a tick. Mutable state: the question, the typed bytes."""
+    """Asks the operator on a terminal without delaying a tick. Mutable state: the question, typed bytes."""
 
     patience = math.inf
 
@@ -39,7 +39,7 @@ class Terminal:
         self._write(text)
 
     def consent(self, title: str, will: str, stop: str) -> bool:
-        """Wait for Enter before a step; no drive is powered meanwhile. Raises RefusedError."""
+        """Wait for Enter before a step, with no drive powered. Raises RefusedError if the answer is no."""
         how = f"Enter begins {title}, `no` ends"
         self._write(f"  it {will}\n  to stop it: {stop}\n  {how}")
         while typed := self._line():
@@ -47,12 +47,12 @@ class Terminal:
         return True
 
     def ask(self, request: Request) -> None:
-        """Show the requested action or reading."""
+        """Show the requested action or reading; `answer` polls for the reply."""
         self._open = request
         self._write(f"    {request.text}; {_how(request)}")
 
     def answer(self) -> float | None:
-        """The number typed, 0 for an action done, None until then. Raises RefusedError."""
+        """The number typed, 0 for an action done, None until then. Raises RefusedError for `no`."""
         if not self._has_line():
             return None
         assert self._open is not None
@@ -84,7 +84,7 @@ class Terminal:
         line, newline, self._typed = self._typed.partition(b"\n")
         typed = line.decode(errors="replace").strip().lower()
         if (not newline and not typed) or typed in ("no", "n", "q", "quit"):
-            raise RefusedError("ended by the operator; facts found so far are kept")
+            raise RefusedError("ended by the operator; results so far are kept")
         return typed
 
     def _take(self) -> None:

@@ -1,4 +1,4 @@
-"""The configuration that a bring-up writes; comments at its top give the source of each number."""
+"""Text of the configuration that a bring-up writes; its head comments give the source of each number."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -35,7 +35,7 @@ def found_text(
     released: bool = False,
     rehearsed: bool = False,
 ) -> str:
-    """The given configuration with the values found, at reduced limits, under comments on their sources.
+    """The given configuration with the values found, reduced limits, and comments on their sources.
 
     released: the six legs have moved together. rehearsed: an emulated bench was measured.
     """
@@ -61,10 +61,10 @@ def found_text(
 
 
 def corrected(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[Finding]:
-    """Findings that the written configuration compensates.
+    """Findings that the written configuration compensates, so that no repair at the machine is needed.
 
     With exchanged node numbers or crossed cables, a drive was read with the sign, lead and zero of another
-    leg. These two must be fixed before sign, lead and zero.
+    leg. Both must be fixed before sign, lead and zero.
     """
     names = {"stroke"}
     if _order(c, context, findings) is not None:
@@ -75,7 +75,7 @@ def corrected(c: Configuration, context: Context, findings: Sequence[Finding]) -
 
 
 def _has_gear(c: Configuration, findings: Sequence[Finding]) -> bool:
-    """True if there is a transmission to correct and each drive counts its own leg."""
+    """True if the configuration has a transmission to correct and each drive reads its own leg."""
     misread = any(finding.name in {"ids", "encoder_crossed"} for finding in findings)
     return c.drives.transmission is not None and not misread
 
@@ -115,7 +115,7 @@ def _changes(c: Configuration, context: Context, findings: Sequence[Finding]) ->
 
 
 def _order(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[int] | None:
-    """Node numbers by leg if drives are exchanged among each other, else None."""
+    """Node numbers (6) by leg if drives are exchanged among each other, else None."""
     nodes, reads = list(c.drives.node_ids), context.reads()
     exchanged = [drive for finding in findings if finding.name == "ids" for drive in finding.legs]
     for drive in exchanged:
@@ -124,7 +124,7 @@ def _order(c: Configuration, context: Context, findings: Sequence[Finding]) -> l
 
 
 def _transmission(c: Configuration, context: Context, findings: Sequence[Finding]) -> dict[str, Any]:
-    """Sign, lead or radius and offset of each leg, corrected so that readings agree with the tape."""
+    """Sign, lead or pulley radius, and offset of each leg, so that readings agree with the tape."""
     settings = c.drives.transmission
     assert settings is not None
     gear = Transmission(settings)

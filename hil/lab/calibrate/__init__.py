@@ -1,1 +1,1 @@
-"""`hil calibrate`: the geometry of a platform from measured poses."""
+"""`hil calibrate`: fits joint centres and leg length offsets of a platform to measured poses."""

@@ -39,7 +39,7 @@ DEVIATIONS = ("length_std_m", "position_std_m", "rotation_std_deg")
 OUTLIER = 5.0
 """A residual beyond this many standard deviations is reported as an outlier."""
 DOUBT = 1e-3
-"""Probability of the chi-square in either tail below which the given deviations are doubted."""
+"""Probability of chi-square in either tail below which a report calls the given deviations wrong."""
 REACH = 0.1
 """A reading is refused if it differs from the length at its pose by more than this share of that length."""
 FRAMES = (
@@ -49,7 +49,7 @@ FRAMES = (
 
 
 class Report(NamedTuple):
-    """Result of a calibration as lines and as plain values, and the YAML fragment."""
+    """Result of a calibration: lines of text, plain values, and a YAML fragment with the joints."""
 
     lines: list[str]
     figures: dict[str, Any]
@@ -57,10 +57,10 @@ class Report(NamedTuple):
 
 
 def run_calibration(path: str | Path, poses: Path, out: Path | None = None) -> Report:
-    """Fit, report, and write the fragment to `out`, which must not exist.
+    """Fit the geometry to the CSV file `poses`, and write the YAML fragment to the new file `out`.
 
     Raises ConfigurationError (configuration, CSV file, units, poses out of reach), CalibrationError (too few
-    pairs, no convergence), LogError (`out`). A failure to write at the end is in the figures, see `further`.
+    pairs, no convergence), LogError (`out`). If writing fails at the end, the error is in the figures.
     """
     if out is not None:
         new_file(out)
@@ -141,7 +141,7 @@ def _row_problem(header: list[str], words: list[str]) -> str:
 def _refuse_strange(
     c: Configuration, robot: Platform, measured: Measurements, poses: Path, at: list[int]
 ) -> None:
-    """Refuse readings of another unit or robot: a fit would distort the joints to match them."""
+    """Refuse readings in another unit or of another robot: a fit would distort the joints."""
     guess = suspicion(robot, measured)
     if guess is not None:
         raise ConfigurationError(
@@ -168,7 +168,7 @@ def _refuse_strange(
 def describe(
     c: Configuration, robot: Platform, measured: Measurements, poses: Path, at: list[int], fit: Calibration
 ) -> Report:
-    """Report on a fit: the changes, their uncertainty, and the parameters that the poses do not determine."""
+    """Report on a fit: changes, uncertainties, undetermined parameters; at: CSV line of each pose."""
     n = len(at)
     before = measured.q - predicted(robot, measured)
     before = before - before.mean(axis=0)
@@ -244,7 +244,7 @@ def _advice(lost: list[Combination]) -> str:
 
 
 def _sum(x: Combination) -> str:
-    """A combination as text, e.g. `base x + 0.5 platform x - offset`."""
+    """A linear combination of parameters as text, e.g. `base x + 0.5 platform x - offset`."""
     text = ""
     for name, share in x.coefficients.items():
         sign = "-" if share < 0 else "+"
@@ -289,7 +289,7 @@ def _figures(
 
 
 def _fragment(c: Configuration, poses: Path, fit: Calibration, rms: float, n: int) -> str:
-    """YAML that replaces the joints of the configuration; offsets are comments, to be set in the drives."""
+    """YAML that replaces the joints of the configuration; length offsets are comments, for the drives."""
     lines = [
         f"# Joints of {json.dumps(c.name)}, calibrated from {json.dumps(poses.name)}: {n} poses,",
         f"# residual rms {rms:.4g} mm. In the frames of the measured poses; after each joint the standard",

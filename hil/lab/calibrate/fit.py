@@ -30,7 +30,7 @@ WEAK = 1e-3
 
 
 class Measurements(NamedTuple):
-    """Measured pairs: platform poses and the readings of the six legs at each."""
+    """Measured pairs: n platform poses and the readings of the six legs at each."""
 
     p: Array
     """(n, 3) m, platform origin in the base frame."""
@@ -51,7 +51,7 @@ class Measurements(NamedTuple):
 
 
 class Combination(NamedTuple):
-    """A combination of one leg's parameters that the poses determine poorly or not at all."""
+    """A linear combination of one leg's parameters that the poses determine poorly or not at all."""
 
     leg: int
     coefficients: dict[str, float]
@@ -61,23 +61,23 @@ class Combination(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """Result of a fit to measured pairs."""
+    """Least-squares fit of the joint centres and length offsets of six legs to measured poses."""
 
     base_joints: Array
     """(6, 3) m, like `platform_joints` in the frames of the measured poses."""
     platform_joints: Array
     offsets: Array
-    """(6,) m, reading less distance of the joint centres."""
+    """(6,) m, reading minus distance of the joint centres."""
     std: Array
     """(6, 7) m, standard deviation of each parameter; nan if undetermined by itself."""
     covariance: Array
     """(42, 42) m^2 of all parameters, zero along undetermined directions."""
     residuals: Array
-    """(n, 6) m, reading less fitted reading."""
+    """(n, 6) m, reading minus fitted reading."""
     standardised: Array
     """(n, 6), residuals over their standard deviations."""
     dof: int
-    """Degrees of freedom: equations less determined parameters."""
+    """Degrees of freedom: number of equations minus determined parameters."""
     chi_square: float | None
     """Sum of squared whitened residuals; about `dof` if the given deviations are right."""
     p_value: float | None
@@ -96,12 +96,12 @@ def predicted(platform: Platform, measured: Measurements) -> Array:
 
 
 def start_offsets(platform: Platform, measured: Measurements) -> Array:
-    """Offset (6,) m of each leg before a fit: median of reading less length of `platform`."""
+    """Offset (6,) m of each leg before a fit: median of reading minus length of `platform`."""
     return np.median(measured.q - predicted(platform, measured), axis=0)
 
 
 def suspicion(platform: Platform, measured: Measurements) -> str | None:
-    """The other unit or direction that explains the readings at least five times better, or None."""
+    """Other unit or pose direction that explains the readings 5 times better; None if there is no such."""
 
     def spread(m: Measurements) -> float:
         return float(np.std(m.q - predicted(platform, m), axis=0).max())
@@ -181,7 +181,7 @@ def _start(platform: Platform) -> Array:
 
 
 def _model(theta: Array, p: Array, R: Array) -> tuple[Array, Array]:
-    """Fitted readings (n, 6) and their slopes (n, 6, 7): -s, R^T s and 1, s the leg's direction."""
+    """Fitted readings (n, 6) m and slopes (n, 6, 7): -s, R^T s and 1, s the unit vector along the leg."""
     legs = p[:, None, :] + np.einsum("kij,lj->kli", R, theta[:, 3:6]) - theta[None, :, 0:3]
     length = np.sqrt((legs**2).sum(axis=2))
     s = legs / length[:, :, None]
@@ -190,7 +190,7 @@ def _model(theta: Array, p: Array, R: Array) -> tuple[Array, Array]:
 
 
 def _noise(theta: Array, measured: Measurements, R: Array) -> Array:
-    """C_k (n, 6, 6): covariance of the readings at a pose, including the error of the pose."""
+    """C_k (n, 6, 6) m^2: covariance of the readings at a pose, including the error of the pose."""
     n = len(measured.p)
     if measured.length_std is None:
         return np.tile(np.eye(6), (n, 1, 1))
@@ -207,7 +207,7 @@ def _noise(theta: Array, measured: Measurements, R: Array) -> Array:
 
 
 def _solve(theta: Array, measured: Measurements, R: Array, basis: Array) -> tuple[Array, Array, Array]:
-    """Fitted parameters (6, 7), the whitened Jacobian in the basis, and the whitened residuals."""
+    """Fitted parameters (6, 7) m, whitened Jacobian in the basis, and whitened residuals."""
     W = np.linalg.inv(np.linalg.cholesky(_noise(theta, measured, R)))
     rows, rank = measured.q.size, basis.shape[1]
 
@@ -240,7 +240,7 @@ def _floor(theta: Array, measured: Measurements) -> float:
 
 
 def _split(slopes: Array, floor: float) -> tuple[list[Array], list[Array]]:
-    """Split each leg's parameter space into determined directions, scaled by their size, and the rest."""
+    """Split each leg's parameters into directions that the poses determine, scaled by size, and the rest."""
     kept, lost = [], []
     for leg in range(6):
         _, s, Vt = np.linalg.svd(slopes[:, leg, :], full_matrices=False)
@@ -271,6 +271,6 @@ def _weak(leg: int, covariance: Array) -> list[Combination]:
 
 
 def _named(vector: Array) -> dict[str, float]:
-    """Entries of at least a tenth of the largest, by name, scaled so that the largest is 1."""
+    """Entries of at least a tenth of the largest, by parameter name, scaled so that the largest is 1."""
     x = vector / vector[int(np.argmax(np.abs(vector)))]
     return {name: float(v) for name, v in zip(NAMES, x, strict=True) if abs(v) >= 0.1}

@@ -1,1 +1,1 @@
-"""`hil identify`: delay and linearised axes from runs and logs."""
+"""`hil identify`: estimates loop delay, linearised axes, payload and friction from runs and logs."""

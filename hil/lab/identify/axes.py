@@ -1,4 +1,4 @@
-"""`hil identify`: the linearised axes, from a run with an excitation or from any log that excites them."""
+"""`hil identify`: frequency responses of the linearised axes, from a test run or a log with excitation."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -42,7 +42,7 @@ REMARK = "Made by hil identify: the linearised axes from demanded acceleration t
 
 
 class Identified(NamedTuple):
-    """Result of identifying the axes from a log."""
+    """Linearised axes identified from a log, with the fit and the bound of the model error."""
 
     model: AxisModel
     fit: Fit
@@ -55,10 +55,10 @@ class Identified(NamedTuple):
 def excited_axes(
     c: Configuration, force_N: float | None, duration_s: float | None
 ) -> tuple[Configuration, float]:
-    """Configuration with a multisine on each axis of its law, and the largest excitation force, N.
+    """Configuration that moves each axis of its law by a multisine, and the largest force used, N.
 
-    Raises ConfigurationError: a fused pose, a law that does not linearise, a force that the limits would
-    cut, or a pose out of reach; IdentificationError: too short.
+    Raises ConfigurationError: a fused pose, a law that does not linearise, a force that the limits would cut,
+    or a pose out of reach; IdentificationError: too short a duration.
     """
     refuse_fused(c, c.source)
     space = linearised_law(c).space
@@ -68,7 +68,7 @@ def excited_axes(
 
 
 def outputs(log: Path, model: Path | None) -> tuple[Path, Path]:
-    """Paths of the model file (the given one, else next to the log) and of its picture.
+    """Paths of the model file (by default next to the log) and of its picture.
 
     Raises ConfigurationError or LogError if they cannot be written.
     """
@@ -80,8 +80,8 @@ def outputs(log: Path, model: Path | None) -> tuple[Path, Path]:
 def axes_of_log(path: Path) -> Identified:
     """Axes identified from a log of `hil run` or `hil sim`.
 
-    Raises LogError for another file or a log without tracking, ConfigurationError for a fused pose or a law
-    that does not linearise, IdentificationError for too little data; each message names the log.
+    Raises LogError for another kind of file or a log without tracking, ConfigurationError for a fused pose or
+    a law that does not linearise, IdentificationError for too little data.
     """
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
@@ -143,7 +143,7 @@ def _rounded(values: Iterable[float]) -> list[float]:
 
 
 def save(identified: Identified, files: tuple[Path, Path], title: str) -> dict[str, Any]:
-    """Write the model and its picture; return their paths and the errors of writing."""
+    """Write the identified model and its picture; return their paths and the errors of writing."""
     written: dict[str, Any] = {"model": None, "picture": None}
     model, picture = files
     with further(written):
@@ -156,7 +156,7 @@ def save(identified: Identified, files: tuple[Path, Path], title: str) -> dict[s
 
 
 def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> dict[str, Any]:
-    """Result as plain values; written: the return value of `save`."""
+    """Identified axes as plain values for the JSON summary; written: the return value of `save`."""
     fit, model = identified.fit, identified.model
     return {
         "success": True,
@@ -178,7 +178,7 @@ def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> d
 
 
 def report(result: dict[str, Any], model: AxisModel) -> list[str]:
-    """Lines for the user."""
+    """Lines of text about identified axes: gains, delay, bound of the model error, and files."""
     profile = model.uncertainty
     f, bound = np.array(profile.frequency_Hz), np.array(profile.bound)
     marks = [x for x in (1.0, 3.0, 10.0, 30.0, 100.0, 300.0) if f[0] <= x <= f[-1]]
@@ -212,7 +212,7 @@ NAMES: dict[AxisSpace, tuple[str, ...]] = {
 
 
 def draw(model: AxisModel, path: Path, title: str) -> Path:
-    """Draw measured points with two standard deviations, the nominal axis, coherence and bound.
+    """Draw the measured frequency responses with two standard deviations, fitted axes, coherence and bound.
 
     Magnitude and phase are those of P s^2 / gain, from demanded to actual acceleration, since 1/s^2 itself
     would hide delay and lag. Raises OSError if the file cannot be written.

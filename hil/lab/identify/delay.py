@@ -1,4 +1,4 @@
-"""`hil identify --delay`: the delay from a measurement to the resulting force."""
+"""`hil identify --delay`: estimates the delay, s, from a length measurement to the resulting leg force."""
 
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ DURATION_S = 4.0
 
 
 def excited(c: Configuration, force_N: float | None, duration_s: float | None) -> tuple[Configuration, float]:
-    """Configuration with an excitation about the held pose (else home), and its largest force, N.
+    """Configuration that excites the loop about the held pose, else home, and its largest leg force, N.
 
     Raises ConfigurationError: a fused pose, a force that the limits would cut, a pose out of reach.
     """
@@ -36,7 +36,7 @@ def excited(c: Configuration, force_N: float | None, duration_s: float | None) -
 
 
 def motion_of(rows: Rows, period_s: float) -> Motion:
-    """Motion from the first to the last tick with open brakes. Raises LogError without any."""
+    """Motion of a log from the first to the last tick with open brakes. Raises LogError if never open."""
     running = np.flatnonzero(brakes_open(rows))
     rows, p, R, good = episode(rows[running[0] : running[-1] + 1])
     good = good & brakes_open(rows)
@@ -45,10 +45,10 @@ def motion_of(rows: Rows, period_s: float) -> Motion:
 
 
 def delay_of_log(path: Path) -> dict[str, Any]:
-    """Summary of the delay identified from a log of `hil run` or `hil sim`.
+    """Delay from measurement to force, ms, identified from a log of `hil run` or `hil sim`, as a summary.
 
-    Raises LogError for another file, ConfigurationError for a fused pose, IdentificationError for too little
-    data.
+    Raises LogError for another kind of file, ConfigurationError for a fused pose, IdentificationError for too
+    little data.
     """
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
@@ -69,7 +69,7 @@ def delay_of_log(path: Path) -> dict[str, Any]:
 
 
 def compensation(found: Delays, hold_s: float) -> dict[str, float]:
-    """Keys of section `controller.delay_compensation`."""
+    """Keys and values, ms, of section `controller.delay_compensation` for identified delays."""
     return {
         "bus_ms": round(1e3 * found.transport_s, 4),
         "drive_lag_ms": round(1e3 * found.lag_s, 4),
@@ -78,19 +78,19 @@ def compensation(found: Delays, hold_s: float) -> dict[str, float]:
 
 
 def compensation_lines(keys: dict[str, float]) -> list[str]:
-    """The same keys as YAML lines to paste."""
+    """Section `controller.delay_compensation` as YAML lines to paste into a configuration."""
     values = ", ".join(f"{key}: {value:g}" for key, value in keys.items())
     return ["", "controller:", f"  delay_compensation: {{{values}}}"]
 
 
 def delay_figures(found: Delays, hold_s: float) -> dict[str, float]:
-    """Transport, lag, hold and their sum in ms, with standard deviations."""
+    """Transport delay, lag, zero-order hold and their sum in ms, with standard deviations, by name."""
     figures = {f"{key.removesuffix('_s')}_ms": 1e3 * value for key, value in found._asdict().items()}
     return figures | {"hold_ms": 1e3 * hold_s}
 
 
 def delay_rows(figures: dict[str, Any], total: str) -> list[str]:
-    """A line for each of `delay_figures`; `total` is the remark on their sum."""
+    """Lines of text for `delay_figures`, one per delay; `total` is the remark on their sum."""
     rows = []
     for key, remark in (
         ("transport", "SYNC to feedback, computing, command: pure delay"),
@@ -110,7 +110,7 @@ def delay_rows(figures: dict[str, Any], total: str) -> list[str]:
 
 
 def report(result: dict[str, Any]) -> list[str]:
-    """Lines for the user: the delays, their uncertainty, and the keys to write."""
+    """Lines of text: the delays in ms, their uncertainty, and the YAML keys that compensate them."""
     lines = [
         "From a measurement to the resulting force (+- two standard deviations):",
         *delay_rows(result, "look-ahead of the law"),
@@ -120,6 +120,6 @@ def report(result: dict[str, Any]) -> list[str]:
     worst = max(abs(g - 1.0) for g in result["gain"])
     if worst > 0.05:
         lines.append(
-            f"A leg's force is {100 * worst:.0f} % off the model's: wrong masses, or the scale of its drive."
+            f"A leg's force is {100 * worst:.0f} % off the model's: check masses and its force scale."
         )
     return [*lines, *compensation_lines(result["delay_compensation"])]

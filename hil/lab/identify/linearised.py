@@ -1,4 +1,4 @@
-"""Signals of the linearised axes, from a log and its configuration.
+"""Signals of the linearised axes, from a log and its configuration, to identify their responses.
 
 A law that linearises sends tau = A(x) v + b(x), x the measured state, for a demanded acceleration v. So v
 follows from the sent forces, limits included, whatever produced v: reference, gains, a switching term.
@@ -38,7 +38,7 @@ APART = 1e-6
 
 
 class LinearisedLaw(NamedTuple):
-    """The linearising part of a configured law, from demanded acceleration to forces."""
+    """The linearising part of a configured law, which turns demanded accelerations into leg forces."""
 
     space: AxisSpace
     model: Model
@@ -46,7 +46,7 @@ class LinearisedLaw(NamedTuple):
 
 
 def linearised_law(c: Configuration) -> LinearisedLaw:
-    """Linearising part of the configured law. Raises ConfigurationError if it has none."""
+    """Linearising part of the configured law. Raises ConfigurationError if the law does not linearise."""
     settings = c.controller
     controller = controller_of(settings, c.folder)
     space = settings.axes if controller is None else controller.axes
@@ -61,7 +61,7 @@ def linearised_law(c: Configuration) -> LinearisedLaw:
 
 
 def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSignals, Array]:
-    """Signals of the tracked part of a log, missing ticks held, and the reference's time (n,) s at each tick.
+    """Signals of the tracked part of a log, and the reference's time (n,) s at each tick; gaps are held.
 
     Raises LogError: nothing was tracked; IdentificationError: the legs hardly moved.
     """
@@ -87,9 +87,9 @@ def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSign
 
 
 def repeating(reference: ReferenceSettings, rate_Hz: float) -> tuple[int, Ints] | None:
-    """Ticks per period, and harmonics, of a periodic reference; None for any other.
+    """Ticks per period, and harmonic numbers, of a periodic reference; None for any other reference.
 
-    Lines above 0.45 of the rate are ignored. A sinusoid of which less than a quarter of a turn is seen is a
+    Lines above 0.45 of the rate are ignored. A sinusoid that lasts less than a quarter of its period is a
     drift, not a line.
     """
     if isinstance(reference, MultisineReference):
@@ -117,10 +117,10 @@ def repeating(reference: ReferenceSettings, rate_Hz: float) -> tuple[int, Ints] 
 def settled(
     signals: AxisSignals, t: Array, reference: SinusoidReference | MultisineReference, length: int
 ) -> Flags:
-    """True at ticks that count: the last whole periods between the ramps; the rest settles.
+    """Mask (n,) of the ticks in the last whole periods, of `length` ticks, between the reference's ramps.
 
-    A tick does not count if the reference advanced by another time than the clock before it: at less than
-    full speed all lines have lower frequencies than expected.
+    A tick does not count if the reference's time t (n,) s advanced by another time than the clock: at less
+    than full speed all lines have lower frequencies than expected.
     """
     good = at_full_speed(signals.good, t, signals.period_s)
     end = t[np.isfinite(t)].max(initial=0.0)
@@ -167,7 +167,7 @@ def law_terms(space: AxisSpace, model: Model, states: list[Record]) -> tuple[Arr
 
 
 def state_of(model: Model, p: Array, R: Array, twist: Array, wrench: Array) -> Record:
-    """A tick record with the state that a law's kernels read, from a row of the log."""
+    """A tick record with the state that a law's kernels read: p (3,), R (3, 3), twist and wrench (6,)."""
     tick = new_record()
     tick["p"], tick["R"], tick["twist"], tick["wrench"] = p, R, twist, wrench
     tick["J"] = jacobian_kernel(model.platform.base_joints, model.platform.platform_joints, p, R)

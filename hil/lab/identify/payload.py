@@ -1,4 +1,4 @@
-"""`hil identify payload`: masses, inertia and friction from logs of ordinary runs."""
+"""`hil identify payload`: masses, inertia and friction of a platform from logs of ordinary runs."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -57,7 +57,7 @@ DRIVES = {
 
 
 class Source(NamedTuple):
-    """One log as equations."""
+    """One log as leg equations, with its configuration and model."""
 
     path: Path
     configuration: Configuration
@@ -66,16 +66,16 @@ class Source(NamedTuple):
     sent: tuple[float, LoopDelay] | None
     """Rate in Hz and delay of sent forces; None if the drives report their forces."""
     seconds: float
-    """Time with open brakes."""
+    """Time with open brakes, s."""
 
     @property
     def reported(self) -> bool:
-        """True if the drives report the forces; otherwise the delayed commands are used."""
+        """True if the drives report their forces; otherwise the delayed commands are used."""
         return self.sent is None
 
 
 class Found(NamedTuple):
-    """Identified platform, payload and drives."""
+    """Identified parameters of platform, payload and drives."""
 
     sources: list[Source]
     believed: Array
@@ -84,33 +84,33 @@ class Found(NamedTuple):
     """(10,): configured body without the payload that is given by ranges."""
     estimate: Estimate
     whole: Consistent
-    """Platform with its whole load."""
+    """Body of the platform with its whole load."""
     payload: Consistent | None
     """Platform and a payload that is a body by itself; None if there is no unknown payload."""
     reflected_kg: float | None
-    """Reflected mass of each leg, if given."""
+    """Reflected motor mass of each leg, kg, if the user gave it."""
     rms_believed_N: float
     rms_force_N: float
-    """Rms of the leg forces less the forces for the legs themselves."""
+    """Rms, N, of the leg forces less the forces that the legs need for themselves."""
     held_out: dict[str, tuple[float, float]]
     """By log, or half of the log: rms in N with a fit to the others, and with the configured values."""
 
     @property
     def split(self) -> bool:
-        """True if the difference to the carrier is reported as a payload."""
+        """True if the mass beyond the configured platform is reported as a payload of its own."""
         return self.payload is not None and self.payload.shift <= SURE
 
     @property
     def theta(self) -> Array:
-        """(29,) reported values."""
+        """Identified parameters (29,): body (10), viscous and Coulomb friction, delay, reflected mass."""
         return self.payload.theta if self.payload is not None and self.split else self.whole.theta
 
 
 def identify_payload(paths: list[Path], reflected_kg: float | None = None) -> Found:
-    """Masses and friction identified from logs of `hil run` or `hil sim`.
+    """Identify masses, inertia and friction from logs of `hil run` or `hil sim`.
 
-    `reflected_kg` of each leg, if known. Raises LogError for another file, ConfigurationError for a fused
-    pose, IdentificationError for too little data or logs of different platforms.
+    reflected_kg: motor mass along each leg, if known. Raises LogError for another file, ConfigurationError
+    for a fused pose, IdentificationError for too little data or logs of different platforms.
     """
     if len({real_path(path) for path in paths}) < len(paths):
         raise IdentificationError(
@@ -194,12 +194,12 @@ def _believed(source: Source) -> Array:
 
 
 def ranged_body(c: Configuration) -> PayloadSettings | None:
-    """The configured payload that is given by ranges."""
+    """The configured payload whose mass and place are given by ranges; None without."""
     return next((body for body in c.platform.platform.payload if body.ranged), None)
 
 
 def _carrier(source: Source) -> Array:
-    """Parameters (10,) of the platform without the payload that is given by ranges."""
+    """Body parameters (10,) of the platform without the payload that is given by ranges."""
     settings = source.configuration.platform
     fixed = [body for body in settings.platform.payload if not body.ranged]
     bare = settings.platform.model_copy(update={"payload": fixed})
@@ -207,7 +207,7 @@ def _carrier(source: Source) -> Array:
 
 
 def _held_out(sources: list[Source], believed: Array, scale: Array) -> dict[str, tuple[float, float]]:
-    """Prediction error of each log, or half of the only one, with a fit to the others."""
+    """Rms error, N, of each log, or half of the only log, with a fit to the others and as configured."""
     parts = [s.equations for s in sources] if len(sources) > 1 else halves(sources[0].equations)
     names = [str(s.path) for s in sources] if len(sources) > 1 else HALVES
     found = {}
@@ -222,7 +222,7 @@ def _held_out(sources: list[Source], believed: Array, scale: Array) -> dict[str,
 
 
 def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:
-    """Value and standard error (6,) of the drives' parameters, by key; without reflected masses if given."""
+    """{key of `controller.model`: (values (6,), standard errors (6,))}; no reflected masses if given."""
     std, given = found.estimate.std, found.reflected_kg is not None
     parts = {key: at for key, (at, *_) in DRIVES.items() if at != REFLECTED or not given}
     return {key: (found.theta[at : at + 6], std[at : at + 6]) for key, at in parts.items()}

@@ -1,4 +1,4 @@
-"""Output of `hil identify payload`: figures, and the block of keys to paste into the configuration."""
+"""Report of `hil identify payload`: figures, and the YAML keys to paste into the configuration."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -31,7 +31,7 @@ REMARK = "# Made by hil identify payload: paste into the configuration, in the p
 
 
 def block(found: Found) -> dict[str, Any]:
-    """Keys to paste: the body if it is shown and differs, and the drives' part of the model."""
+    """Keys to paste: the body if the motion shows it and it differs, and the drives' part of the model."""
     c = found.sources[0].configuration
     result: dict[str, Any] = {}
     if body_shown(found) and body_differs(found):
@@ -51,19 +51,19 @@ def block(found: Found) -> dict[str, Any]:
 
 
 def body_shown(found: Found) -> bool:
-    """True if the motion shows all ten parameters of the body."""
+    """True if the motion determines all ten parameters of the body."""
     return bool((found.estimate.unknown[:SIZE] <= HIDDEN).all())
 
 
 def body_differs(found: Found) -> bool:
-    """True if the body differs from section `platform`."""
+    """True if the identified body differs significantly from section `platform`."""
     e = found.estimate
     change = np.abs(found.theta - found.believed)[:SIZE]
     return bool((change > np.maximum(SURE * e.std, LEAST_PAYLOAD * e.scale)[:SIZE]).any())
 
 
 def _body(found: Found) -> dict[str, Any]:
-    """Section `platform.platform` with a payload more, in place of one given by ranges, or a new body."""
+    """Section `platform.platform`: its payload with the identified one, or a new body without payload."""
     c = found.sources[0].configuration
     payload = c.platform.platform.payload
     if not found.split:
@@ -74,7 +74,7 @@ def _body(found: Found) -> dict[str, Any]:
 
 
 def _body_keys(body: Body) -> dict[str, Any]:
-    """mass_kg, com_m and inertia_kg_m2 of a body, rounded so that it stays a possible one."""
+    """mass_kg, com_m and inertia_kg_m2 of a body, rounded so that the body stays physically possible."""
     return {
         "mass_kg": float(f"{body.mass:.7g}"),
         "com_m": [round(float(x), 7) for x in body.com],
@@ -83,7 +83,7 @@ def _body_keys(body: Body) -> dict[str, Any]:
 
 
 def _thickened(inertia: Array) -> Array:
-    """Inertia tensor of a body that is thicker about its centre of mass than the rounding."""
+    """Inertia tensor (3, 3) about the centre of mass, thick enough to stay possible after rounding."""
     values, vectors = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
     values = np.maximum(values, 10.0 * DIGITS * max(float(values.max()), DIGITS))
     return np.asarray(values.sum() * np.eye(3) - vectors @ np.diag(values) @ vectors.T, np.float64)
@@ -96,7 +96,7 @@ def _rounded(x: Array) -> Array:
 
 
 def _drives(found: Found) -> dict[str, Any]:
-    """The drives' keys that the motion shows for every leg, without negative values.
+    """Drive keys of `controller.model` that the motion determines for every leg, without negative values.
 
     Friction within two standard errors of zero is set to zero. Motors are alike: their reflected masses are
     all zero or none is.
@@ -114,19 +114,19 @@ def _drives(found: Found) -> dict[str, Any]:
 
 
 def block_text(found: Found) -> str:
-    """The block as YAML; empty if everything is as configured."""
+    """The keys to paste as YAML; empty if everything is as configured."""
     keys = block(found)
     return yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=110) if keys else ""
 
 
 def file_text(found: Found) -> str:
-    """Content of the file of `-o`."""
+    """Content of the file that option `-o` writes: remark, logs, and the keys to paste."""
     logs = "".join(f"# {printable(s.path)}\n" for s in found.sources)
     return REMARK + logs + block_text(found)
 
 
 def unseen(found: Found) -> list[str]:
-    """Names of the unknowns that the motion does not show."""
+    """Names of the parameters that the motion does not determine."""
     names = dict(enumerate(NAMES)) | {LATE: "delay of the forces"}
     parts = [DRIVES[key] for key in drives_of(found)]
     names |= {at + k: f"{what} of leg {k}" for at, what, _ in parts for k in range(6)}
@@ -134,7 +134,7 @@ def unseen(found: Found) -> list[str]:
 
 
 def summary(found: Found) -> dict[str, Any]:
-    """Result as plain values."""
+    """Identified parameters and their uncertainties as plain values for the JSON summary."""
     e = found.estimate
     drives = drives_of(found)
     return {
@@ -175,7 +175,7 @@ def _plain(theta: Array) -> dict[str, Any]:
 
 
 def report(found: Found) -> Iterator[str]:
-    """Lines for the user, before the block."""
+    """Lines of text about the identified parameters, printed before the keys to paste."""
     e, hidden = found.estimate, unseen(found)
     rms = float(np.sqrt(np.mean(e.residual_N**2)))
     reported, seconds = all(s.reported for s in found.sources), sum(s.seconds for s in found.sources)
@@ -213,13 +213,13 @@ def report(found: Found) -> Iterator[str]:
 
 
 def believed_scale(found: Found) -> float:
-    """Configured scale of all masses, left out of the configured values; 1: there is none."""
+    """Configured `controller.model.inertia_scale`, which scales all masses of the law's model; 1: unset."""
     believed = found.sources[0].configuration.controller.believed
     return 1.0 if believed is None else believed.inertia_scale
 
 
 def _physics(found: Found) -> Iterator[str]:
-    """Lines on the identified body, and on its place in the block."""
+    """Lines of text: whether the identified bodies are physically possible, and what to paste."""
     payload = found.payload
     for what, fit in (("all of it", found.whole), ("the payload", payload if found.split else None)):
         if fit is not None and fit.smallest <= 0.0:
@@ -231,7 +231,7 @@ def _physics(found: Found) -> Iterator[str]:
     ranged = ranged_body(c)
     carrier = "section platform" if ranged is None else "section platform without the payload given by ranges"
     if payload is None:
-        yield f"No payload besides that of {carrier}"
+        yield f"No payload in addition to {carrier}"
     elif found.split:
         body = body_of(found.theta[:SIZE] - found.carrier)
         x, y, z = body.com
@@ -246,7 +246,7 @@ def _physics(found: Found) -> Iterator[str]:
 
 
 def _in_block(found: Found, ranges: str) -> str:
-    """Line on the body's place in the block, with the reason; ranges: of a payload given by these."""
+    """Line that says how the keys to paste represent the body; ranges: the ranged payload, as text."""
     if not body_shown(found):
         return (
             "The block leaves the body out, since this motion does not show all its parameters: log motion "

@@ -26,13 +26,13 @@ from hil.record.mcap_file import MAGIC
 from hil.robot.dynamics import Model
 
 FORCE_SHARE = 0.02
-"""Excitation as a share of limits.force_N ..."""
+"""Default excitation force, as a share of limits.force_N;"""
 STEP_SHARE = 0.1
-"""... and its largest share of limits.force_step_N and limits.force_window_N."""
+"""and its largest share of limits.force_step_N and limits.force_window_N."""
 
 
 class Recorded(NamedTuple):
-    """A log of a run."""
+    """Log of a run: its configuration, tick rows, rate and attached files."""
 
     configuration: Configuration
     rows: Rows
@@ -45,9 +45,9 @@ class Episode(NamedTuple):
 
     rows: Rows
     p: Array
-    """(n, 3) m."""
+    """(n, 3) m, platform position, base frame."""
     R: Array
-    """(n, 3, 3)."""
+    """(n, 3, 3) rotation, platform to base."""
     good: Flags
     """(n,): recorded, all legs fresh, with pose and twist."""
 
@@ -62,7 +62,7 @@ def is_log(source: Path) -> bool:
 
 
 def refuse_fused(c: Configuration, where: object, task: str = "identify") -> None:
-    """Raise ConfigurationError for a fused pose: the motion is not the encoders'; task: the user's goal."""
+    """Raise ConfigurationError for a fused pose, whose motion is biased by the model; task: user's goal."""
     if c.estimation.pose == "fused":
         raise ConfigurationError(
             f"{where}: estimation.pose: fused: the log holds the filter's motion, biased to the masses and "
@@ -71,7 +71,7 @@ def refuse_fused(c: Configuration, where: object, task: str = "identify") -> Non
 
 
 def excitation_force(c: Configuration, force_N: float | None) -> float:
-    """Largest leg force of an excitation. Raises ConfigurationError if limits would cut it."""
+    """Largest leg force of an excitation, N. Raises ConfigurationError if limits would cut it."""
     most = STEP_SHARE * min(c.limits.force_step_N, c.limits.force_window_N)
     force = min(FORCE_SHARE * c.limits.force_N, most) if force_N is None else force_N
     if force > 5 * most:
@@ -82,13 +82,13 @@ def excitation_force(c: Configuration, force_N: float | None) -> float:
 
 
 def excitation_pose(c: Configuration) -> Pose:
-    """The held pose, else home."""
+    """Pose about which the excitation moves: that of a `hold` reference, else home."""
     held = c.reference.pose if isinstance(c.reference, HoldReference) else None
     return held or c.platform.home
 
 
 def excited_by(c: Configuration, reference: Evaluated) -> Configuration:
-    """The configuration with another reference. Raises ConfigurationError if it is out of reach."""
+    """The configuration with the given reference. Raises ConfigurationError if that is out of reach."""
     document = dict(parse(c.text).value or {})
     document["name"] = f"{c.name[:80]}-identify"
     document["reference"] = reference.model_dump(mode="json")
@@ -101,7 +101,7 @@ def excited_by(c: Configuration, reference: Evaluated) -> Configuration:
 
 
 def exact_model(c: Configuration) -> Model:
-    """The full model with the controller's configured friction and inertia, if any."""
+    """Full dynamic model of the robot, with the friction and inertia configured for the law, if any."""
     believed = c.controller.believed or ModelSettings()
     full = believed.model_copy(update={"variant": "full", "frozen_at": None})
     return build_model(full, build_platform(c.platform), c.platform.leg_spin)
@@ -110,7 +110,7 @@ def exact_model(c: Configuration) -> Model:
 def run_for(
     c: Configuration, log: Path | None, *, real_time: bool, with_plant: bool, arm: bool
 ) -> dict[str, Any]:
-    """Run in lockstep, or in real time with `run_daemon`; return the summary. Raises ConfigurationError."""
+    """Simulate, or run in real time if `real_time`; return the summary. Raises ConfigurationError."""
     if real_time:
         return run_daemon(c, log=log, with_plant=with_plant, draw=False, arm=arm)
     if c.plant is None:
@@ -119,14 +119,14 @@ def run_for(
 
 
 def recorded_run(path: Path) -> Recorded:
-    """Content of a log of `hil run` or `hil sim`. Raises LogError for any other file."""
+    """Read a log of `hil run` or `hil sim`. Raises LogError for any other file."""
     log, run, configuration = open_run(path)
     configuration = law_of_log(configuration, log, run, trust_code=False)
     return Recorded(configuration, log.rows(), float(run["rate_Hz"]), log.attachments)
 
 
 def episode(rows: Rows) -> Episode:
-    """All ticks from the first to the last of `rows`, which must not be empty."""
+    """All ticks from the first to the last of `rows`, with gaps filled; `rows` must not be empty."""
     ticks = np.arange(rows["tick"][0], rows["tick"][-1] + 1)
     source = np.searchsorted(rows["tick"], ticks, side="right") - 1
     there = rows["tick"][source] == ticks
@@ -138,7 +138,7 @@ def episode(rows: Rows) -> Episode:
 
 
 def brakes_open(rows: Rows) -> Flags:
-    """True at rows (n,) with all brakes open. Raises LogError without any."""
+    """Mask (n,) of rows with all brakes open. Raises LogError if there is no such row."""
     running = np.asarray((rows["drive_state"] == DriveState.RUN).all(axis=1))
     if not running.any():
         raise LogError("the brakes were never open in this log: nothing moved")

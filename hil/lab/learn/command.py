@@ -1,4 +1,4 @@
-"""`hil learn`: compute the feed-forward of the next run, from existing logs or from simulated runs."""
+"""`hil learn`: computes the feed-forward forces of the next run, from logs or from simulated runs."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -27,7 +27,7 @@ LIMIT_SHARE = 0.2
 
 
 class Knowledge(NamedTuple):
-    """Stated uncertainty of the plant, and limit of the learned force."""
+    """The user's bounds of the plant's uncertainty, and the limit of the learned force."""
 
     axes: Path | None = None
     """File of `hil identify`; None: the configuration's delays, with the two errors below."""
@@ -37,7 +37,7 @@ class Knowledge(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One run with its tracking error, measured and predicted."""
+    """One run of a learning series with its tracking error, measured and predicted."""
 
     run: LearningRun
     rms_mm: float
@@ -46,13 +46,13 @@ class Step(NamedTuple):
     predicted_mm: float | None
     """Prediction by the nominal axes; None for the first run."""
     contraction: float | None
-    """In-band error over that of the run before."""
+    """Ratio of the in-band error to that of the run before; None for the first run."""
     learned_peak_N: float
     contradicted: Contradiction | None
 
 
 class Outcome(NamedTuple):
-    """Result of learning from consecutive runs."""
+    """Result of learning from consecutive runs: the next feed-forward, or the reason to stop."""
 
     steps: list[Step]
     learner: Learner
@@ -61,13 +61,13 @@ class Outcome(NamedTuple):
     text: str
     """Text of the next feed-forward file; empty unless `state` is learned."""
     cut: int
-    """Rows in which a force was cut at the limit."""
+    """Number of rows in which a learned force was clipped at its limit."""
     predicted_mm: float
     """Error of the next run by the nominal axes, with the forces cut at the limit."""
 
 
 class Series(NamedTuple):
-    """Result of a series of runs, logged before or simulated one after the other."""
+    """Result of a learning series, from logs or from runs simulated one after the other."""
 
     steps: list[Step]
     outcome: Outcome | None
@@ -81,16 +81,16 @@ class Series(NamedTuple):
 
 
 def learn(paths: Sequence[Path], known: Knowledge) -> Series:
-    """Learn from the logs of consecutive runs, the last one included. Raises as `learned`."""
+    """Learn from the logs of consecutive runs, ending with the newest. Raises the errors of `learned`."""
     outcome = learned([learning_run(path) for path in paths], known)
     return Series(outcome.steps, outcome, limit_of(outcome.steps[-1].run, known), outcome.text)
 
 
 def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
-    """Learn from consecutive runs.
+    """Compute the next feed-forward forces from consecutive runs.
 
     Raises LogError for logs that are unusable or not consecutive, ConfigurationError for a law without a
-    known loop, ModelError if no filter makes the error fall.
+    known linear loop, ModelError if no filter makes the error fall.
     """
     _require_consecutive(runs)
     last = runs[-1]
@@ -127,7 +127,7 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
 
 
 def limit_of(run: LearningRun, known: Knowledge) -> float:
-    """Largest learned force, N: as stated, as configured, or a share of limits.force_N."""
+    """Largest learned force, N: from the user, the configuration, or LIMIT_SHARE of limits.force_N."""
     if known.limit_N is not None:
         return known.limit_N
     settings = run.configuration.feedforward
@@ -135,7 +135,7 @@ def limit_of(run: LearningRun, known: Knowledge) -> float:
 
 
 def expected(before: LearningRun, now: LearningRun, model: Learner) -> Array:
-    """Tracking errors (count, 6) m that the nominal axes predict for a run, from the run before."""
+    """Tracking errors (count, 6) m that the nominal plant predicts for a run, from the run before."""
     t, begun = now.trial, before.trial.first - before.trial.lead
     return predicted(before.trial, t.a[begun : t.first + t.length], model.loops)
 
@@ -174,7 +174,7 @@ def _require_consecutive(runs: Sequence[LearningRun]) -> None:
         for what, (there, here) in same.items():
             if here != there:
                 raise LogError(
-                    f"{now.path}: its {what} differs from that of {before.path}, {here} and {there}: "
+                    f"{now.path}: its {what}, {here}, differs from {there} in {before.path}: "
                     "learning needs equal runs"
                 )
         if now.number != before.number + 1:
@@ -211,10 +211,10 @@ def _rms(x: Array) -> float:
 def rehearse(
     c: Configuration, runs: int, known: Knowledge, folder: Path, tell: Callable[[Step], None]
 ) -> Series:
-    """Simulate up to `runs` runs in lockstep, each with the feed-forward learned before; write their logs.
+    """Simulate up to `runs` runs, each with the feed-forward learned before it, and write their logs.
 
-    It ends early at the floor, if a run contradicts the condition of convergence, if a run fails, cannot
-    begin or is unusable, and by an interrupt after the first run.
+    The series ends early if the error no longer falls, if a run contradicts the condition of convergence,
+    fails or is unusable, or at an interrupt after the first run.
 
     Raises ConfigurationError, LogError, PlantError, ModelError or OSError if the first run cannot be made or
     used.
@@ -263,7 +263,7 @@ def rehearse(
 
 
 def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configuration:
-    """The configuration with a feed-forward file of this text; without feed-forward if the text is empty."""
+    """The configuration with `text` as feed-forward file `path`; without feed-forward if `text` is empty."""
     section: dict[str, Any] | None = None
     if text:
         path.write_text(text, encoding="utf-8")
@@ -272,7 +272,7 @@ def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configurat
 
 
 def with_scale(c: Configuration, scale: float) -> Configuration:
-    """The configuration with its law's masses scaled. Raises ConfigurationError: no model."""
+    """The configuration with its law's masses scaled. Raises ConfigurationError: the law has no model."""
     believed = c.controller.believed
     if believed is None or "model" not in type(c.controller).model_fields:
         raise ConfigurationError(f"--inertia-scale: law {c.controller.law} has no model of the masses")

@@ -1,4 +1,4 @@
-"""Condition of convergence of learning, and the widest filter that meets it.
+"""Condition under which iterative learning converges, and the widest learning filter that meets it.
 
 With u_{k+1} = Q (u_k + L e_k) and e = e_0 - P u, frequency by frequency,
 
@@ -6,11 +6,11 @@ With u_{k+1} = Q (u_k + L e_k) and e = e_0 - P u, frequency by frequency,
 
     e_{k+1} = (1 - Q) e_0 + Q (1 - L P) e_k
 
-The error falls monotonically in the 2-norm if |Q (1 - L P)| < 1 at each frequency for each P (D. A.
-Bristow, M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine
-26(3), 2006, pp. 96-114; M. Norrlof and S. Gunnarsson, Time and frequency domain convergence properties in
-iterative learning control, International Journal of Control 75(14), 2002, pp. 1114-1126). Here L = 1/P_0
-of the nominal axis G_0. For axes G_0 (1 + Delta), |Delta| <= W, Delta a full matrix if the axes couple,
+The error falls monotonically in the 2-norm if |Q (1 - L P)| < 1 at each frequency for each P (D. A. Bristow,
+M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26(3),
+2006, pp. 96-114; M. Norrlof and S. Gunnarsson, Time and frequency domain convergence properties in iterative
+learning control, International Journal of Control 75(14), 2002, pp. 1114-1126). Here L = 1/P_0 of the nominal
+axis G_0. For axes G_0 (1 + Delta), |Delta| <= W, Delta a full matrix if the axes couple,
 
 ::
 
@@ -51,7 +51,7 @@ NEAR_ZERO = 1e-3
 
 
 class AxisLoop(NamedTuple):
-    """One axis in closed loop, each (m,) at the frequencies of `frequencies`."""
+    """Closed-loop transfer functions of one leg axis, arrays (m,) at the frequencies of `frequencies`."""
 
     P: ComplexArray
     """s^2, from a learned acceleration to the reduction of the error."""
@@ -64,12 +64,12 @@ class AxisLoop(NamedTuple):
 
 
 def frequencies(samples: int, period_s: float) -> Array:
-    """Frequencies (m,) Hz of a real transform of `samples` samples."""
+    """Frequencies (m,) Hz of a real Fourier transform of `samples` samples."""
     return np.asarray(np.fft.rfftfreq(samples, period_s), np.float64)
 
 
 def axis_loop(axis: LinearSystem, controller: LinearSystem, f_Hz: Array, *, looks_ahead: bool) -> AxisLoop:
-    """Closed loop of a sampled axis and a controller from [e, de] to u, both of one period.
+    """Closed loop of a sampled axis and a controller from [e m, de m/s] to u m/s^2, both of one period.
 
     looks_ahead: the controller knows the commands under way (`hil.design.stability.sampled_loop`).
     """
@@ -86,22 +86,22 @@ def axis_loop(axis: LinearSystem, controller: LinearSystem, f_Hz: Array, *, look
 
 
 class Uncertainty(NamedTuple):
-    """Largest |P/P_0 - 1| of the axes over frequency."""
+    """Bound of the relative plant error |P/P_0 - 1| of all axes over frequency."""
 
     f_Hz: Array
     """(m,), rising; unknown beyond the last."""
     bound: Array
-    """(m,)."""
+    """(m,) relative plant error."""
 
     def at(self, f_Hz: Array) -> Array:
-        """Bound at frequencies (n,): the first value below the first frequency, inf beyond the last."""
+        """Bound at frequencies (n,) Hz: the first value below the first frequency, inf beyond the last."""
         return np.where(f_Hz <= self.f_Hz[-1], np.interp(f_Hz, self.f_Hz, self.bound), np.inf)
 
 
 def stated(gain_error: float, delay_error_s: float, up_to_Hz: float) -> Uncertainty:
-    """Bound for a relative gain error and a delay error of either sign, up to a frequency.
+    """Bound of the plant error for a relative gain error and a delay error, s, of either sign.
 
-    |(1 + g) exp(j w d) - 1| <= sqrt(g^2 + 4 (1 + g) sin^2(w d / 2)), from w d = pi on 2 + g.
+    |(1 + g) exp(j w d) - 1| <= sqrt(g^2 + 4 (1 + g) sin^2(w d / 2)), from w d = pi on 2 + g; up to up_to_Hz.
     """
     f = np.linspace(0.0, up_to_Hz, 512)
     half = np.minimum(np.pi * f * delay_error_s, np.pi / 2.0)
@@ -114,23 +114,23 @@ class Filter(NamedTuple):
     end_Hz: float
 
     def at(self, f_Hz: Array) -> Array:
-        """Gain Q (n,) at frequencies (n,)."""
+        """Gain Q (n,) at frequencies (n,) Hz, 0 to 1."""
         edge = np.clip((f_Hz / self.end_Hz - FLAT) / (1.0 - FLAT), 0.0, 1.0)
         return np.asarray(0.5 + 0.5 * np.cos(np.pi * edge), np.float64) * (f_Hz < self.end_Hz)
 
 
 class Choice(NamedTuple):
-    """The chosen filter and its contraction."""
+    """The chosen learning filter and the largest error ratio from run to run under it."""
 
     Q: Filter
     contraction: float
-    """Largest |Q| c over frequency."""
+    """Largest |Q| c over frequency: bound of the error ratio from run to run."""
     at_Hz: float
     """Frequency of this maximum."""
 
 
 def contraction(loops: Sequence[AxisLoop], f_Hz: Array, uncertainty: Uncertainty) -> Array:
-    """Contraction c (n,) at frequencies (n,): largest |1 - L P| of all axes; inf where it is unknown."""
+    """Bound c (n,) of |1 - L P|, the error ratio from run to run, over all axes; inf where unknown."""
     W = uncertainty.at(f_Hz)
     S = np.max([np.abs(loop.S) for loop in loops], axis=0)
     T = np.max([np.abs(loop.T) for loop in loops], axis=0)
@@ -140,7 +140,7 @@ def contraction(loops: Sequence[AxisLoop], f_Hz: Array, uncertainty: Uncertainty
 
 
 def choose(c: Array, f_Hz: Array, most: float = CONTRACTION) -> Choice:
-    """Widest filter with |Q| c <= most at each frequency. Raises ModelError if there is none."""
+    """Widest filter with |Q| c <= most at each frequency. Raises ModelError if no filter qualifies."""
     finite = np.where(np.isfinite(c), c, 1e300)
     top = float(f_Hz[-1])
     for end in np.geomspace(top, min(LEAST_HZ, top), STEPS):

@@ -1,4 +1,4 @@
-"""Check of a run against the condition of convergence, and the part of its error that cannot be learned.
+"""Tests a run against the condition of convergence, and estimates the error that cannot be learned.
 
 In each third-octave band the error of each axis is bounded by the prediction of the nominal axis plus the
 uncertain part of the change, see `hil.lab.learn.convergence`:
@@ -33,7 +33,7 @@ SIGMAS = 3.0
 
 
 class Contradiction(NamedTuple):
-    """A band in which the error did not fall as required."""
+    """A frequency band in which the error fell less from run to run than the convergence bound requires."""
 
     axis: int
     f_Hz: float
@@ -43,7 +43,7 @@ class Contradiction(NamedTuple):
 
 
 def bands(f_Hz: Array, end_Hz: float) -> list[Flags]:
-    """Members of each non-empty third-octave band from LOWEST_HZ; the first band begins at 0."""
+    """Masks (m,) of the frequencies in each non-empty third-octave band, 0 and LOWEST_HZ to end_Hz."""
     edges = [0.0]
     while (edge := max(edges[-1], LOWEST_HZ) * 2.0 ** (1.0 / 3.0)) < end_Hz:
         edges.append(edge)
@@ -52,7 +52,7 @@ def bands(f_Hz: Array, end_Hz: float) -> list[Flags]:
 
 
 def rms_in(X: ComplexArray, inside: Flags, samples: int, count: int) -> Array:
-    """Rms (m,) over `count` samples of the part of a real transform X (f, m) in a band (Parseval)."""
+    """Rms (m,), over `count` samples, of the part inside a band of signals with real transform X (f, m)."""
     total = 2.0 * (np.abs(X[inside]) ** 2).sum(axis=0)
     if inside[0]:
         total = total - np.abs(X[0]) ** 2
@@ -70,10 +70,10 @@ def contradiction(
     first_rms_m: float,
     noise_m: float,
 ) -> Contradiction | None:
-    """The band that violates the condition most; None if all meet it.
+    """The band that violates the convergence bound most; None if all bands meet the bound.
 
-    c (f,): `hil.lab.learn.convergence.contraction`; first_rms_m: error of the very first run; noise_m:
-    standard deviation of a measured error.
+    c (f,): `hil.lab.learn.convergence.contraction`; first_rms_m: error of the very first run, m; noise_m:
+    standard deviation of a measured error, m.
     """
     samples, count = len(now.e), now.length
     P = np.array([loop.P for loop in loops]).T
@@ -99,10 +99,10 @@ State = Literal["learned", "floor", "contradicted"]
 
 
 def state(contradicted: bool, in_band_m: float, contraction: float | None, noise_m: float) -> State:
-    """State of learning after a run.
+    """State of learning after a run: learned, floor or contradicted.
 
-    in_band_m: error within the filter; contraction: its ratio to that of the run before, None for the first;
-    noise_m: standard deviation of a measured error.
+    in_band_m: error within the filter, m; contraction: its ratio to that of the run before, None for the
+    first; noise_m: standard deviation of a measured error, m.
     """
     if contradicted:
         return "contradicted"
@@ -112,7 +112,7 @@ def state(contradicted: bool, in_band_m: float, contraction: float | None, noise
 
 
 class Floor(NamedTuple):
-    """Parts of the error that cannot be learned, each rms over the legs, m."""
+    """Parts of the tracking error that cannot be learned, each rms over the legs, m."""
 
     encoder_m: float
     rate_m: float
@@ -121,12 +121,12 @@ class Floor(NamedTuple):
 
     @property
     def total_m(self) -> float:
-        """Root of the sum of squares of all parts."""
+        """Root of the sum of squares of all parts, m."""
         return float(np.sqrt(sum(x * x for x in self)))
 
 
 def in_band(run: Trial, Q: Filter, f_Hz: Array) -> Array:
-    """Error (count, 6) m passed by the filter."""
+    """Tracking error (count, 6) m after the learning filter."""
     passed = np.fft.irfft(Q.at(f_Hz)[:, None] * spectra(run.e), len(run.e), axis=0)
     return np.asarray(passed[run.first : run.first + run.length], np.float64)
 
@@ -140,10 +140,10 @@ def floor(
     length_m: float,
     rate_m_s: float,
 ) -> Floor:
-    """Floor of a run; length_m and rate_m_s are standard deviations of the measurements.
+    """Parts of a run's error that cannot be learned.
 
-    unexplained (count, 6) m: measured less predicted error; None before the second run. Two runs differ by
-    the square root of two times the non-repeating error.
+    length_m, rate_m_s: standard deviations of measured lengths and rates. unexplained (count, 6) m: measured
+    minus predicted error; None before run 2. Two runs differ by sqrt(2) times the non-repeating error.
     """
     rate = rate_m_s * float(np.sqrt(np.mean([np.mean(np.abs(loop.by_rate) ** 2) for loop in loops])))
     beyond = run.tracked - in_band(run, Q, f_Hz)

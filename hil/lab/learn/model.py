@@ -1,4 +1,4 @@
-"""Model for learning: the closed loop of each leg's axis, and the bound of its error."""
+"""Model for learning: the closed loop of each leg's axis, and the bound of the model error."""
 
 from functools import cache
 from pathlib import Path
@@ -34,7 +34,7 @@ BELIEVED_UP_TO = 0.1
 
 
 class Belief(NamedTuple):
-    """The nominal plant and its uncertainty."""
+    """The nominal plant of six leg axes and its uncertainty."""
 
     gain: Array
     """(6,), of the nominal axes."""
@@ -45,7 +45,7 @@ class Belief(NamedTuple):
 
 
 class Learner(NamedTuple):
-    """Loops, contraction and filter for an update."""
+    """Closed loops, error ratio and filter for the learning update."""
 
     loops: list[AxisLoop]
     """Closed loop of each leg, at `f_Hz`."""
@@ -57,7 +57,7 @@ class Learner(NamedTuple):
 
 
 def belief_of(c: Configuration, axes: Path | None, gain_error: float, delay_error_s: float) -> Belief:
-    """The plant from a file of `hil identify`, or from the configuration. Raises ConfigurationError."""
+    """Nominal plant from a file of `hil identify`, else from configured delays. Raises ConfigurationError."""
     if axes is None:
         delay = loop_delay(c)
         bound = stated(gain_error, delay_error_s, BELIEVED_UP_TO * c.loop.rate_Hz)
@@ -77,7 +77,7 @@ def belief_of(c: Configuration, axes: Path | None, gain_error: float, delay_erro
 
 
 def learner(c: Configuration, belief: Belief, samples: int) -> Learner:
-    """Model for an update of `samples` samples. Raises ConfigurationError, ModelError."""
+    """Model for the update of a run with `samples` samples. Raises ConfigurationError, ModelError."""
     period_s = 1.0 / c.loop.rate_Hz
     f = frequencies(samples, period_s)
     controllers = _controllers(c, period_s)
@@ -94,7 +94,7 @@ def learner(c: Configuration, belief: Belief, samples: int) -> Learner:
 
 
 def _controllers(c: Configuration, period_s: float) -> list[LinearSystem]:
-    """Controller of each leg, from [e, de] to the demanded acceleration."""
+    """Controller of each leg, from [e m, de m/s] to the demanded acceleration, m/s^2."""
     law = c.controller
     _require_known(c, law)
     designed = controller_of(law, c.folder)
@@ -135,7 +135,7 @@ def _require_known(c: Configuration, law: LawSettings) -> None:
 
 
 def decay_rate(c: Configuration) -> Array:
-    """Decay rate (6,) rad/s of each leg's error after the end of a run."""
+    """Rate (6,) rad/s at which each leg's error decays after the end of a run."""
     dynamics = c.controller.error_dynamics()
     if isinstance(dynamics, ErrorDynamics):
         return np.asarray(np.sqrt(dynamics.K_P), np.float64)
@@ -147,7 +147,7 @@ DEFAULT_DECAY = 20.0
 
 
 def force_per_acceleration(model: Model, p: Array, R: Array) -> Array:
-    """Forces (n, 6, 6) N for 1 m/s^2 of each leg by the law's model, along the path.
+    """Forces (n, 6, 6) N per 1 m/s^2 of each leg along the path, by the law's model.
 
     A = J^-T M J^-1 at p (n, 3) m and R (n, 3, 3): tau = A a makes six equal axes of the legs.
     """

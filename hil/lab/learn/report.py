@@ -1,4 +1,4 @@
-"""Report of `hil learn`: the runs, the filter, the floor with its cause, and the next command."""
+"""Report of `hil learn`: the runs, the filter, the unlearnable error with its cause, the next command."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +18,7 @@ CAUSES = {
 
 
 def table(steps: list[Step]) -> list[str]:
-    """Lines of the table of runs."""
+    """Text lines of the table of runs, errors in mm, forces in N."""
     lines = ["run   rms mm     peak mm    predicted mm  contraction  learned N"]
     for step in steps:
         ahead = "-" if step.predicted_mm is None else f"{step.predicted_mm:.5f}"
@@ -31,7 +31,7 @@ def table(steps: list[Step]) -> list[str]:
 
 
 def cause(floor: Floor) -> str:
-    """Cause of the largest part of a floor."""
+    """Text that names the largest part of the error that cannot be learned."""
     parts = floor._asdict()
     return CAUSES[max(CAUSES, key=lambda name: float(parts[name]))]
 
@@ -41,7 +41,7 @@ def _floor_mm(floor: Floor) -> dict[str, float]:
 
 
 def lines(made: Series, out: Path | None, believed: ModelSettings | None = None) -> Iterator[str]:
-    """Lines for the user; out: path of the written file; believed: model with --inertia-scale."""
+    """Text lines about a learning series; out: path of the written file; believed: scaled model, if any."""
     if made.outcome is not None:
         yield from table(made.steps)
         yield from _judged(made.outcome, made.limit_N)
@@ -95,7 +95,7 @@ def _judged(outcome: Outcome, limit_N: float) -> Iterator[str]:
 
 
 def summary(made: Series, out: Path | None) -> dict[str, Any]:
-    """A series of runs as plain values."""
+    """A learning series as plain values for the JSON summary."""
     outcome = made.outcome
     if outcome is None:
         return {"success": False, "kind": "learn", "state": "failed", "trouble": made.trouble, "runs": []}

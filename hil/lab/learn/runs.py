@@ -1,4 +1,4 @@
-"""A log as a learning trial: complete, undisturbed, with the reference at full speed."""
+"""Reads a log as a learning trial: complete, undisturbed, with the reference at full speed."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ APART = 1e-6
 
 
 class LearningRun(NamedTuple):
-    """A run usable for learning."""
+    """A run that learning can use, with its errors and the feed-forward that acted."""
 
     path: Path
     configuration: Configuration
@@ -44,12 +44,12 @@ class LearningRun(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Number of runs learned from before this one."""
+        """Number of runs that this run's feed-forward was learned from."""
         return 0 if self.head is None else self.head.run
 
 
 def learning_run(path: Path) -> LearningRun:
-    """The run of a log.
+    """Read the log of a run for learning.
 
     Raises LogError: not a log of a run, or an unusable one: a fault, missing ticks, a hold, a stop or another
     speed than the clock's, forces cut by a limit. ConfigurationError: a law of another kind, a fused pose.
@@ -88,7 +88,7 @@ def _of(column: Any) -> Array:
 
 
 def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Rows]:
-    """Number of rows before the reference, and these rows followed by its `count` rows. Raises LogError."""
+    """Number of rows before the reference, and these with the reference's `count`. Raises LogError."""
     tracking = rows[rows["mode"] == Mode.TRACKING]
     faults = int(np.bitwise_or.reduce(rows["faults"])) if len(rows) else 0
     if faults:

@@ -1,7 +1,7 @@
 """One run as a learning trial: error and learned acceleration over one stretch of time, and the update.
 
 Signals begin before the reference and end after it, so that a zero-phase filter has room on both sides. After
-the run the error decays as the loop would let it.
+the run the error decays at the rate of the closed loop.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ error grows by half, and the next call refuses to go on.
 
 
 class Trial(NamedTuple):
-    """Signals of a run for learning."""
+    """Signals of a run for learning, n samples from before to after the reference."""
 
     period_s: float
     first: int
@@ -36,7 +36,7 @@ class Trial(NamedTuple):
     lead: int
     """Samples before the reference in which a learned acceleration may act."""
     e: Array
-    """(n, 6) m, demanded less measured length."""
+    """(n, 6) m, demanded minus measured leg length."""
     a: Array
     """(n, 6) m/s^2, learned acceleration that acted."""
 
@@ -47,7 +47,7 @@ class Trial(NamedTuple):
 
     @property
     def rms_m(self) -> float:
-        """Root mean square over time and legs: the norm that learning reduces."""
+        """Root mean square of the tracking error over time and legs, m: the norm that learning reduces."""
         return float(np.sqrt((self.tracked**2).mean()))
 
     @property
@@ -59,8 +59,8 @@ class Trial(NamedTuple):
 def trial(period_s: float, lead: int, e: Array, de: Array, a: Array, wn: Array) -> Trial:
     """The trial of a run; the first `lead` rows are before the reference.
 
-    e (n, 6) m, its rate de (n, 6) m/s, a (n, 6) m/s^2; wn (6,) rad/s. After the run the rate of the error
-    decays as exp(-wn t), the other values are held for HELD_S.
+    Errors e (n, 6) m, their rates de (n, 6) m/s, learned accelerations a (n, 6) m/s^2; wn (6,) rad/s. After
+    the run the rate of the error decays as exp(-wn t), the other values are held for HELD_S.
     """
     room, behind = round(BEFORE_S / period_s), round(BEHIND_S / period_s)
     count = len(e) - lead
@@ -78,7 +78,7 @@ def trial(period_s: float, lead: int, e: Array, de: Array, a: Array, wn: Array) 
 
 
 def _going(period_s: float, samples: int) -> Array:
-    """Weight (samples, 1) of the last values after the run: 1 for HELD_S, then down to 0."""
+    """Weight (samples, 1) of the values held after the run: 1 for HELD_S, then smoothly down to 0."""
     t = period_s * np.arange(1, samples + 1)[:, None]
     return np.asarray(1.0 - risen((t - HELD_S) / (t[-1] - HELD_S)), np.float64)
 
@@ -90,15 +90,15 @@ def risen(x: Array) -> Array:
 
 
 def spectra(x: Array) -> ComplexArray:
-    """Real transform of the columns of x (n, 6)."""
+    """Real Fourier transform (f, 6) of the columns of x (n, 6)."""
     return np.asarray(np.fft.rfft(x, axis=0), np.complex128)
 
 
 def updated(run: Trial, loops: Sequence[AxisLoop], Q: Filter, f_Hz: Array, share: float = 1.0) -> Array:
     """Next learned acceleration (lead + length, 6) m/s^2: Q (a + share e / P_0), 0 at its start.
 
-    A share below 1 keeps the condition: |1 - share L P| <= 1 - share + share |1 - L P|.
-    The inverse is taken in the band of Q only, so it needs no other regularisation.
+    A share below 1 keeps the condition of convergence: |1 - share L P| <= 1 - share + share |1 - L P|. The
+    inverse is taken in the band of Q only, so it needs no other regularisation.
     """
     P = np.array([loop.P for loop in loops]).T
     A = Q.at(f_Hz)[:, None] * (spectra(run.a) + share * spectra(run.e) / P)
@@ -111,7 +111,7 @@ def updated(run: Trial, loops: Sequence[AxisLoop], Q: Filter, f_Hz: Array, share
 
 
 def predicted(run: Trial, a: Array, loops: Sequence[AxisLoop]) -> Array:
-    """Predicted errors (length, 6) m with a (lead + length, 6) m/s^2: e_k - P_0 (a - a_k)."""
+    """Predicted errors (length, 6) m under a (lead + length, 6) m/s^2: e_k - P_0 (a - a_k)."""
     more = -run.a
     begun, end = run.first - run.lead, run.first + run.length
     more[begun:end] += a

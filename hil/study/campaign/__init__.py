@@ -1,1 +1,1 @@
-"""`hil campaign`: many lockstep runs of one configuration with swept keys, and their failure rate."""
+"""`hil campaign`: simulates many runs of one configuration with swept keys, and reports the failure rate."""

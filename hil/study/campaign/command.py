@@ -1,4 +1,4 @@
-"""`hil campaign FILE`: run the missing rows, write the table, report the failure rate."""
+"""`hil campaign FILE`: runs the rows still missing, writes the table, reports the failure rate."""
 
 import time
 from collections.abc import Sequence
@@ -26,13 +26,13 @@ def run_campaign(
     fresh: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Run the rows missing in `folder`; return the summary (key `success`: all passed).
+    """Run the rows missing in `folder`; return the summary (key `success`: all rows passed).
 
     jobs : number of processes; default one per processor, 1: this process. scheduler : address of a Dask
     cluster that runs the rows instead. fresh : discard stored rows. An interruption keeps finished rows.
 
     Raises LogError: the folder belongs to another campaign, is in use or cannot be written, or pyarrow is not
-    installed; ConfigurationError: the cluster does not answer, or a file of a row has changed.
+    installed; ConfigurationError: the cluster does not answer, or a file that a row reads has changed.
     """
     parquet.require()
     begun = time.perf_counter()
@@ -82,5 +82,5 @@ def run_campaign(
 
 
 def line(outcome: dict[str, Any], columns: Sequence[Column]) -> Row:
-    """Line of the table: values and outcome of a row, each in the type of its column."""
+    """Table row of a campaign: axis values and outcome of a run, each converted to its column's type."""
     return {column.name: cell(column.kind, outcome[column.name]) for column in columns}

@@ -1,4 +1,4 @@
-"""Rows on the workers of a Dask cluster, which manages its processes, machines and their failures."""
+"""Runs campaign rows on the workers of a Dask cluster, which manages processes, machines and failures."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Outcome = dict[str, Any]
 
 
 def perform(address: str, work: Iterable[Job], total: int, progress: Progress | None) -> Iterator[Outcome]:
-    """Yield the outcomes of `total` rows, in the order of completion; `progress` is called before each.
+    """Run `total` rows on a Dask cluster; yield outcomes in order of completion.
 
-    The workers need this version of the product, and the files that the configuration names at the same
-    paths. Rows wait while there is no worker. Rows whose workers died repeatedly run once more, one at a
-    time; a row whose worker dies again ends as `died`.
+    `progress` is called before each outcome. The workers need this version of the product, and the files that
+    the configuration names at the same paths. Rows wait while there is no worker. Rows whose workers died
+    repeatedly run once more, one at a time; a row whose worker dies again ends as `died`.
 
     Raises ConfigurationError: Dask is not installed, nothing answers at `address`, the scheduler is lost, or
     a worker cannot run rows.

@@ -1,7 +1,7 @@
-"""Metrics of a run, measured while it runs: peaks, sums and counts, in blocks of ticks, in bounded memory.
+"""Metrics of a simulated run, measured while it runs: peaks, rms values and counts, in bounded memory.
 
-Blocks and the order of sums are fixed: the same ticks give the same figures to the bit, in the run and
-from its log.
+Ticks are processed in blocks. Blocks and the order of sums are fixed: the same ticks give bit-identical
+metrics, in the run and from its log.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ _LIMITED = Warn.FORCE_LIMIT | Warn.FORCE_STEP | Warn.FORCE_WINDOW
 
 
 class Metric(NamedTuple):
-    """Description of one metric."""
+    """Unit and meaning of one metric of a run."""
 
     unit: str
     meaning: str
@@ -67,10 +67,10 @@ FOLLOWED: dict[str, Callable[[Rows, Array], Array]] = {
 
 
 class Measurement:
-    """Metrics of one run.
+    """Measures the metrics of one run tick by tick.
 
-    `travels`: the run continues after a fault. Mutable state: the ticks of the unfinished block, and the
-    totals of the finished blocks.
+    travels: the run continues after a fault. Mutable state: the ticks of the unfinished block, and the totals
+    of the finished blocks.
     """
 
     def __init__(self, *, travels: bool) -> None:
@@ -85,7 +85,7 @@ class Measurement:
         self._stood: Array | None = None
 
     def take(self, row: Any, length: Array) -> bool:
-        """Add a tick of dtype ROW and the true lengths (6,) m; True if this completes a block."""
+        """Add a tick (dtype ROW) and the true leg lengths (6,) m; True if this completes a block."""
         self._ticks.append((row, length))
         if len(self._ticks) < BLOCK:
             return False
@@ -93,7 +93,7 @@ class Measurement:
         return True
 
     def figures(self) -> dict[str, Any]:
-        """All METRICS so far, None: not measured. Closes the block."""
+        """Value of each metric in METRICS so far, None: not measured. Ends the current block."""
         if self._ticks:
             self._block()
         found = dict(self._peaks)
@@ -106,7 +106,7 @@ class Measurement:
         return dict.fromkeys(METRICS) | measured | self._counts
 
     def growing(self) -> dict[str, float]:
-        """Peaks and counts of the finished blocks, which never decrease."""
+        """Peaks and counts of the finished blocks; these metrics never decrease during a run."""
         return self._peaks | self._counts
 
     @np.errstate(over="ignore", invalid="ignore")
@@ -141,6 +141,6 @@ class Measurement:
         self._tracked_s = float(rows["reference_time_s"][-1])
 
     def _peak(self, name: str, values: Array) -> None:
-        """Raise a peak to the largest magnitude of some values; a NaN stays."""
+        """Raise a stored peak to the largest magnitude in `values`; a NaN stays."""
         if values.size:
             self._peaks[name] = float(np.maximum(self._peaks.get(name, 0.0), np.abs(values).max()))

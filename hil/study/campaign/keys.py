@@ -1,4 +1,4 @@
-"""Configuration keys, as `plant.faults[0].mass_kg`, and the values that axes set there."""
+"""Configuration keys, e.g. `plant.faults[0].mass_kg`, and the values that swept axes set there."""
 
 import copy
 import re
@@ -21,7 +21,7 @@ _WORD = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[0-9]+\])*)")
 
 
 def path(key: str) -> tuple[str | int, ...]:
-    """Names and indices of a key. Raises ConfigurationError: malformed key."""
+    """Section names and list indices of a key. Raises ConfigurationError if the key is malformed."""
     found: list[str | int] = []
     for part in key.split("."):
         match = _WORD.fullmatch(part)
@@ -34,14 +34,14 @@ def path(key: str) -> tuple[str | int, ...]:
 
 
 def at(data: Any, place: tuple[str, ...]) -> Any:
-    """Value at a place in nested dictionaries; None if missing."""
+    """Value at a sequence of keys in nested dictionaries; None if missing."""
     for name in place:
         data = data.get(name) if isinstance(data, dict) else None
     return data
 
 
 def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
-    """Set the values of a row in the data of a configuration: options, then faults, then keys.
+    """Set the axis values of a row in the data of a configuration: options, then faults, then keys.
 
     Outer keys are set before keys inside them, whatever their order in the file. Keys that contain
     `plant.faults` are set before the faults of an axis.
@@ -66,13 +66,12 @@ def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
 
 
 def _with_faults(value: Data, words: list[str]) -> Data:
-    """Add faults to `plant.faults`."""
     more = [read_fault(each).model_dump(mode="json", exclude_unset=True) for each in words]
     return merged(value, {"plant": {"faults": [*(at(value, _FAULTS) or []), *more]}})
 
 
 def put(value: Data, key: str, given: Any) -> Data:
-    """Set a key in the data and return them; missing sections above it are created.
+    """Set a key in configuration data and return the data; missing sections above the key are created.
 
     Raises ConfigurationError: a part of the key is neither section nor list, or the list is too short.
     """

@@ -1,4 +1,4 @@
-"""Files that campaign rows name: finding them, and checking that they do not change.
+"""Finds the files that campaign rows read, and checks that the files do not change between rows.
 
 A relative path is searched for next to the configuration, as everywhere, then next to the campaign file. The
 data sheet of a drive is first searched for in the folder where the campaign was read, as by `hil check`.
@@ -39,7 +39,7 @@ def find_beside(value: dict[str, Any], folders: Folders) -> None:
 
 
 def digests(base: dict[str, Any], axes: Mapping[str, ListedAxis], folders: Folders) -> dict[str, str]:
-    """Digest, by path, of each file that any row may name.
+    """SHA-256, by path, of each file that any row of a campaign may read.
 
     Raises ConfigurationError: a file cannot be read.
     """
@@ -66,7 +66,7 @@ def refuse_changed(files: Mapping[str, str]) -> None:
 
 
 def _digest_now(file: Path) -> str:
-    """Digest of a file; the file is read again only if its inode, size or modification time differs."""
+    """SHA-256 of a file; the file is read again only if its inode, size or modification time differs."""
     try:
         found = file.stat()
         return _digest(file, found.st_ino, found.st_size, found.st_mtime_ns)

@@ -1,6 +1,6 @@
-"""Table of a campaign as a Parquet file: one row per run; the same rows give the same bytes.
+"""Writes the table of a campaign as a Parquet file, one row per run.
 
-It contains no dates, machines or numbers of processes, and the writer's settings are fixed.
+The same rows give the same bytes: no dates, machines or numbers of processes, and fixed settings.
 """
 
 import json
@@ -43,14 +43,14 @@ def columns(plan: Plan) -> list[Column]:
 
 
 def kind(axis: ListedAxis) -> str:
-    """Type of an axis' column: int64 or float64 if all its values are numbers of 64 bits, else text."""
+    """Column type of an axis: int64 or float64 if all its values are 64-bit numbers, else text."""
     if not all(type(x) is float or (type(x) is int and abs(x) < 2**63) for x in axis.ends):
         return "text"
     return "int64" if all(type(x) is int for x in axis.ends) else "float64"
 
 
 def cell(kind: str, value: Any) -> Any:
-    """Value in the type of its column; lists, sections and booleans of an axis become JSON."""
+    """Axis value or outcome converted to its column's type; lists, sections and booleans become JSON."""
     if value is None:
         return None
     if kind == "text":
@@ -64,7 +64,7 @@ def require() -> None:
 
 
 def write(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> None:
-    """Write rows to a file. Raises OSError."""
+    """Write campaign rows to a Parquet file. Raises OSError."""
     pa, parquet = arrow("a campaign")
     parquet.write_table(
         pa.Table.from_pylist(rows, schema(pa, columns)),

@@ -1,4 +1,4 @@
-"""Rows of a campaign: read from its file, checked before anything runs, identified by digests."""
+"""Rows of a campaign: read from the campaign file and checked before any run; digests identify them."""
 
 import hashlib
 import importlib.resources
@@ -58,21 +58,21 @@ class Plan:
         return len(self.samples) * len(self.listed) * len(self.combinations)
 
     def values(self, row: int) -> Values:
-        """Value of each axis in a row; options and faults by name."""
+        """Value of each axis in a row, by axis; options and faults by their names."""
         rest, k = divmod(row, len(self.combinations))
         sample, j = divmod(rest, len(self.listed))
         given = (*self.samples[sample], *self.listed[j], *self.combinations[k])
         return dict(zip(self.settings.axes, given, strict=True))
 
     def job(self, row: int) -> Job:
-        """Job that runs a row."""
+        """Everything needed to run a row."""
         values = self.values(row)
         sample = row // (len(self.combinations) * len(self.listed))
         return Job(self.subject, row, values, row_seed(self.settings, values, sample))
 
 
 def read_plan(path: Path) -> Plan:
-    """Read a campaign and check each of its values with the configuration, one axis after the other.
+    """Read a campaign file and check each axis value with the configuration, one axis after the other.
 
     Raises ConfigurationError with all problems, each with its place in the file.
     """
@@ -98,13 +98,13 @@ def read_plan(path: Path) -> Plan:
 
 
 def shipped() -> tuple[str, ...]:
-    """Names of the shipped campaigns."""
+    """Names of the campaign files shipped with the package."""
     files = importlib.resources.files("configs").joinpath("campaigns").iterdir()
     return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
 
 
 def campaign_file(path: Path) -> Path:
-    """File of a campaign, from a path or a shipped name. Raises ConfigurationError: no such file."""
+    """Campaign file at a path or of a shipped name. Raises ConfigurationError if there is no such file."""
     if path.is_file():
         return path
     if str(path) not in shipped():
@@ -139,10 +139,10 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
 
 
 def _tries(plan: Plan) -> Iterator[tuple[Place, list[str], Values]]:
-    """Yield trial rows: one per value of each axis, per end of a range, and per row of the list.
+    """Yield trial rows that check the values of a campaign: one per axis value and per row of the list.
 
     Each comes with its place in the file and the names of the axes under trial; other axes keep their first
-    value.
+    value. Of a range both ends are tried.
     """
     first = plan.values(0)
     for section, axes in plan.settings.sections:
@@ -158,7 +158,7 @@ def _tries(plan: Plan) -> Iterator[tuple[Place, list[str], Values]]:
 
 
 def _problems(subject: Subject, values: Values) -> list[str]:
-    """Problems of a row with these values."""
+    """Errors in the configuration of a row with these axis values, as texts; empty if valid."""
     try:
         row_configuration(Job(subject, 0, values, row_seed(subject.settings, values, 0)))
     except ConfigurationError as error:

@@ -1,4 +1,4 @@
-"""Pass rates with Wilson's interval: over all rows, and by each value of an axis."""
+"""Pass rates of a campaign with Wilson's interval: over all rows, and by each value of an axis."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ HEAD = ("value", "rows", "failed", "pass %", "95 % interval")
 
 
 class Rate(NamedTuple):
-    """Number of rows and of passed rows, and the 95 % interval of the pass rate."""
+    """Pass rate of some rows: number of rows and of passed rows, and the 95 % interval."""
 
     label: str
     rows: int
@@ -27,7 +27,7 @@ class Rate(NamedTuple):
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Cells of a table line, as titled by `HEAD`."""
+        """Cells of a table line of this pass rate; `HEAD` has the column titles."""
         percent = f"{100.0 * self.passed / self.rows:.1f}" if self.rows else "-"
         interval = f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f}"
         return self.label, str(self.rows), str(self.rows - self.passed), percent, interval
@@ -47,13 +47,13 @@ def wilson(passed: int, n: int) -> tuple[float, float]:
 
 
 def rate(label: str, rows: Sequence[Row]) -> Rate:
-    """Pass rate of some rows."""
+    """Pass rate, with its 95 % interval, of some rows of a campaign."""
     passed = sum(row["passed"] for row in rows)
     return Rate(label, len(rows), passed, *wilson(passed, len(rows)))
 
 
 def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:
-    """Pass rate of each value of an axis; of many numbers, of each quarter of the rows sorted by value."""
+    """Pass rate of each value of an axis; for more than MOST numbers, of each quarter of the sorted rows."""
     there = {row[name] for row in rows}
     if len(there) <= MOST or not all(isinstance(value, int | float) for value in there):
         listed = [cell(kind(axis), value) for value in axis.entries]
@@ -66,7 +66,7 @@ def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:
 
 
 def worst(rows: Sequence[Row], limits: dict[str, Limit], most: int) -> list[Row]:
-    """At most `most` failed rows: the worst of each cause first, then the second of each.
+    """At most `most` failed rows: the worst row of each cause first, then the second of each cause.
 
     Within a cause, rows that ended first are the worst, then rows that exceed a limit by most.
     """
@@ -85,17 +85,17 @@ def worst(rows: Sequence[Row], limits: dict[str, Limit], most: int) -> list[Row]
 
 
 def cause(row: Row) -> str:
-    """Cause of a failed row: `limit`, or how it ended and the names of its faults."""
+    """Cause of a failed row: `limit`, or how its run ended and the names of its faults."""
     return "limit" if row["ended"] == "complete" else f"{row['ended']} {row['faults']}".strip()
 
 
 def causes(rows: Sequence[Row]) -> list[tuple[str, int]]:
-    """Count the failed rows of each cause, the most frequent first."""
+    """Number of failed rows by cause, the most frequent cause first."""
     return Counter(cause(row) for row in rows if not row["passed"]).most_common()
 
 
 def why(row: Row, limits: dict[str, Limit]) -> str:
-    """Reasons why a row failed, as text."""
+    """Reasons why a row failed, as text with values and limits."""
     ended = ": ".join(filter(None, (row["ended"], row["trouble"].partition("\n")[0])))
     words = [] if ended == "complete" else [ended]
     for name, limit in limits.items():

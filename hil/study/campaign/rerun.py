@@ -1,4 +1,4 @@
-"""`hil campaign rerun FILE ROW`: run one row again and compare its figures to the bit."""
+"""`hil campaign rerun FILE ROW`: runs one row again and compares its metrics with the stored row."""
 
 from itertools import islice
 from pathlib import Path
@@ -20,13 +20,13 @@ from plant_fmu.faults.plan import FaultPlan
 
 
 def rerun(plan: Plan, out: Path | None, number: int, log: Path | None) -> dict[str, Any]:
-    """Run a row again; return the summary (key `success`: the same figures to the bit).
+    """Run a row again; return the summary (key `success`: bit-identical metrics).
 
-    out : folder of the campaign's results, None: the default folder.
-    log : file to record, `Path()`: a new name next to the other logs; None: no recording.
+    out : folder of the campaign's results, None: the default folder. log : file to record, `Path()`: a new
+    name next to the other logs; None: no recording.
 
-    The figures of the run, and of its log, are compared with the stored row; without a stored row, those of
-    the log with those of the run. A row that is not stored can only be recorded, and only without `out`.
+    The metrics of the run, and of its log, are compared with the stored row; without a stored row, the log's
+    with the run's. A row that is not stored can only be recorded, and only without `out`.
 
     Raises ConfigurationError: no such row, or the row has no run to record; LogError: the row is not stored,
     the folder belongs to another campaign, or the log exists.
@@ -78,7 +78,7 @@ def rerun(plan: Plan, out: Path | None, number: int, log: Path | None) -> dict[s
 
 
 def _recorded(job: Job, ended: Ended, log: Path) -> dict[str, Any]:
-    """Record a row's run, which continues until it parks; return the row's outcome from the log."""
+    """Record a row's run until the platform parks; return the row's outcome computed from the log."""
     c = row_configuration(job)
     rate = c.loop.rate_Hz
     stop_tick = ended.ticks if ended.stop_tick is None else ended.stop_tick

@@ -1,4 +1,4 @@
-"""One row of a campaign: its configuration, its lockstep run, its figures. It reads files, but no clock."""
+"""Runs one row of a campaign in simulated time: its configuration, run and metrics. Reads no clock."""
 
 import copy
 import re
@@ -39,7 +39,7 @@ class Subject(NamedTuple):
 
 
 class Job(NamedTuple):
-    """Everything that a separate process needs to run a row."""
+    """Everything that a separate process needs to run a row of a campaign."""
 
     subject: Subject
     number: int
@@ -48,7 +48,7 @@ class Job(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """How and when a row's run ended."""
+    """How and when the simulated run of a row ended."""
 
     how: str
     """complete, fault, limit, stopped or plant."""
@@ -61,7 +61,7 @@ class Ended(NamedTuple):
 
 
 def row_configuration(job: Job) -> Configuration:
-    """Build the configuration of a row, with its whole text. Raises ConfigurationError."""
+    """Configuration of a row, with its complete YAML text. Raises ConfigurationError if it is invalid."""
     subject = job.subject
     value = apply(copy.deepcopy(subject.base), subject.settings.axes, job.values)
     own = at(value, _SENSORS_SEED)
@@ -80,13 +80,13 @@ def run_row(job: Job) -> dict[str, Any]:
     """Run a row; return `passed`, `ended`, `ended_s`, `faults`, `trouble` and METRICS as plain values.
 
     Errors of the row are part of the outcome. Raises MemoryError, OSError: trouble of the machine, the row
-    may run later; ConfigurationError: a file that rows name has changed.
+    may run later; ConfigurationError: a file that rows read has changed.
     """
     return performed(job)[0]
 
 
 def performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
-    """Run a row; return its outcome and the end of its run (None: no run). Raises as `run_row`."""
+    """Run a row; return its outcome and the end of its run (None: no run). Raises like `run_row`."""
     ended = None
     try:
         c = row_configuration(job)
@@ -108,18 +108,18 @@ def performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
 
 
 def bare(problem: str) -> str:
-    """Problem without its position in the merged text, which no user has seen."""
+    """Error message without its position in the merged configuration, which no user has seen."""
     return re.sub(r"^.* with the changes of (the campaign|row [0-9]+):([0-9]+:[0-9]+:)? ?", "", problem)
 
 
 def not_run(job: Job, how: str = "died", why: str = "its process died, twice") -> dict[str, Any]:
-    """Outcome of a row that has no run."""
+    """Outcome of a row that has no run; how: value of column `ended`; why: the reason."""
     end = {"passed": False, "ended": how, "ended_s": None, "faults": "", "trouble": why}
     return {"row": job.number, "seed": job.seed, **job.values, **end, **dict.fromkeys(METRICS)}
 
 
 def outcome(job: Job, rate_Hz: float, ended: Ended, measured: Measurement) -> dict[str, Any]:
-    """Outcome of a row's run, as in the table. A limit of an unmeasured metric counts as exceeded."""
+    """Outcome of a row's run, as in the table. A limit on an unmeasured metric counts as exceeded."""
     figures = measured.figures()
     kept = not any(limit.passed_by(figures.get(name)) for name, limit in job.subject.settings.kept.items())
     return not_run(job) | {
@@ -133,7 +133,7 @@ def outcome(job: Job, rate_Hz: float, ended: Ended, measured: Measurement) -> di
 
 
 def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
-    """Run both ends of the bus in lockstep until the row's end.
+    """Simulate controller and plant in lockstep until the row's end.
 
     Raises ConfigurationError: invalid configuration, or neither reference nor campaign has an end;
     PlantError: the plant does not start.
@@ -184,13 +184,13 @@ def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
 
 
 def _limit_exceeded(settings: CampaignSettings, measured: Measurement) -> bool:
-    """Check whether a peak or a count exceeds its limit, which more ticks cannot undo."""
+    """True if a peak or a count exceeds its limit; more ticks cannot undo that."""
     most = {name: limit.max for name, limit in settings.kept.items() if limit.max is not None}
     return any(value > most.get(name, value) for name, value in measured.growing().items())
 
 
 def row_seed(settings: CampaignSettings, values: dict[str, Any], sample: int) -> int:
-    """Seed of a row: the value of key `seed`, else the number of its sample.
+    """Random seed of a row: the value of key `seed`, else the number of its sample.
 
     Raises ConfigurationError: not an integer from 0 to 2**63 - 1, the range of the table's column.
     """

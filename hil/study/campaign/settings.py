@@ -1,4 +1,4 @@
-"""The campaign file: the configuration, the swept keys and their values, the limits of a run."""
+"""Settings in a campaign file: the configuration, the swept keys and their values, the limits of a run."""
 
 import json
 from collections.abc import Iterator
@@ -86,7 +86,7 @@ class ListedAxis(Section):
 
     @property
     def targets(self) -> list[str]:
-        """Keys that take the value of this axis."""
+        """Configuration keys that take the value of this axis; empty for options and faults."""
         return [self.key] if isinstance(self.key, str) else self.key or []
 
     @property
@@ -96,7 +96,7 @@ class ListedAxis(Section):
 
     @property
     def ends(self) -> list[Any]:
-        """Values checked before a campaign: all listed ones, or both ends of a distribution."""
+        """Values checked before a campaign: all listed values, or both ends of a distribution."""
         return self.entries
 
 
@@ -115,11 +115,11 @@ class SampledAxis(ListedAxis):
 
     @property
     def ends(self) -> list[Any]:
-        """Values checked before a campaign: all listed ones, or both ends of a distribution."""
+        """Values checked before a campaign: all listed values, or both ends of a distribution."""
         return self.entries or [self.value_at(0.0), self.value_at(1.0)]
 
     def value_at(self, u: float) -> Any:
-        """Value at the cumulative probability `u`, [0, 1], of its distribution."""
+        """Value of this axis at the cumulative probability `u`, [0, 1]: the quantile."""
         if self.integers is not None:
             first, last = self.integers
             return min(last, first + floor(u * (last - first + 1)))
@@ -149,7 +149,7 @@ class Sample(Section):
     axes: Annotated[dict[AxisName, SampledAxis], Field(min_length=1)]
 
     def draw(self) -> list[tuple[Any, ...]]:
-        """Values of every sample, one per axis in the order of the file.
+        """Draw the axis values of every sample, one per axis in the order of the file.
 
         Sobol' points are scrambled (Owen 1995), so that no point is exactly 0 or 1 by construction; they are
         balanced if their number is a power of two.
@@ -184,7 +184,7 @@ class Limit(Section):
         return self
 
     def passed_by(self, value: float | None) -> float:
-        """Excess of a value over the limit, as a share of the limit; 0: within it, inf: not measured."""
+        """Excess of a value over the limit, relative to the limit; 0: within the limit, inf: not measured."""
         if value is None:
             return inf
         over = 0.0 if self.max is None else (value - self.max) / abs(self.max or 1.0)
@@ -193,7 +193,7 @@ class Limit(Section):
 
     @property
     def words(self) -> str:
-        """Allowed range as text, `>= 1 <= 2`."""
+        """Allowed range as text, e.g. `>= 1 <= 2`."""
         ends = ((">=", self.min), ("<=", self.max))
         return " ".join(f"{sign} {end:g}" for sign, end in ends if end is not None)
 
@@ -259,12 +259,12 @@ class CampaignSettings(Section):
 
     @property
     def axes(self) -> dict[str, ListedAxis]:
-        """All axes, in the order of the table."""
+        """All swept axes by name, in the order of the table's columns."""
         return {name: axis for _, axes in self.sections for name, axis in axes.items()}
 
     @property
     def kept(self) -> dict[str, Limit]:
-        """Limits of each row."""
+        """Limits that each row must keep, by metric; `faulted` is at most 0 by default."""
         return {"faulted": Limit(max=0.0)} | self.limits
 
     @property

@@ -1,4 +1,4 @@
-"""A campaign on the terminal and as a page: pass rates by swept value, and the worst rows."""
+"""Shows a campaign's results on the terminal and as a page: pass rates by swept value, and worst rows."""
 
 import shlex
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ WORST, WORST_ON_PAGE = 10, 25
 
 
 def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
-    """Print the tables of a campaign. folder : from --out, for the commands that repeat a row."""
+    """Print the result tables of a campaign; folder: option --out, for the commands that repeat a row."""
     rows = summary["matrix"]
     lines = [
         (name if n == 0 else "", *each.cells)
@@ -34,7 +34,7 @@ def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
 
 
 def worst_lines(plan: Plan, summary: dict[str, Any], folder: Path | None, most: int) -> list[str]:
-    """Causes of failure, and at most `most` failed rows with the commands that repeat them; see `show`."""
+    """Text lines: causes of failure, and at most `most` failed rows with the commands that repeat them."""
     rows, limits = summary["matrix"], plan.settings.kept
     failed = worst(rows, limits, most)
     lines = [f"failed rows by cause: {', '.join(f'{name} {count}' for name, count in causes(rows))}", ""]
@@ -46,7 +46,6 @@ def worst_lines(plan: Plan, summary: dict[str, Any], folder: Path | None, most: 
 
 
 def _values(plan: Plan, row: dict[str, Any], between: str, of: str) -> str:
-    """Values of a row as text."""
     return between.join(f"{name}{of}{shown(row[name])}" for name in plan.settings.axes)
 
 
@@ -57,7 +56,7 @@ def rerun_command(plan: Plan, row: int, folder: Path | None) -> str:
 
 
 def verdicts(plan: Plan, summary: dict[str, Any], folder: Path | None) -> Iterator[Verdict]:
-    """Yield one JUnit case per row, named by its values."""
+    """Yield one JUnit test case per row of a campaign; its name lists the axis values."""
     for row in summary["matrix"]:
         yield Verdict(
             group=plan.name,
@@ -68,7 +67,7 @@ def verdicts(plan: Plan, summary: dict[str, Any], folder: Path | None) -> Iterat
 
 
 def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
-    """Summary for the terminal: without rows, the interval as text."""
+    """Summary of a campaign for the terminal: without rows, the confidence interval as text."""
     low, high = summary["failed_interval_percent"]
     found = {key: value for key, value in summary.items() if key != "matrix"}
     limits = [f"{name} {limit.words}" for name, limit in plan.settings.kept.items()]
@@ -76,7 +75,7 @@ def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | None = None) -> None:
-    """Write the page, over an earlier one. folder : from --out. Raises LogError: it cannot be written."""
+    """Write a campaign's results as an HTML page. folder: option --out. Raises LogError if that fails."""
     limits = plan.settings.kept
     low, high = summary["failed_interval_percent"]
     verdict = (

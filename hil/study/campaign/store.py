@@ -1,7 +1,7 @@
 """Results folder of a campaign: finished rows, safe against a crash at any instant; then one table.
 
-campaign.sqlite      identity of the campaign, and each row as JSON, on the disk once it is added
-table.parquet        all rows by number, written at the end
+- campaign.sqlite: identity of the campaign, and each row as JSON, on the disk once it is added
+- table.parquet: all rows by number, written at the end
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ DATABASE = "campaign.sqlite"
 
 
 class Store:
-    """Rows of one campaign on the disk, for one process at a time.
+    """Stored rows of one campaign, open in one process at a time.
 
     Mutable state: the database. It is always in a transaction, which locks out other processes.
     """
@@ -32,7 +32,7 @@ class Store:
     def __init__(
         self, folder: Path, columns: list[Column], identity: dict[str, str], *, fresh: bool = False
     ) -> None:
-        """Open or create the folder; `fresh` discards its stored rows, of whatever campaign.
+        """Open or create the results folder; fresh: discard its stored rows, even of another campaign.
 
         Raises LogError: the folder is not a campaign's, belongs to another campaign, is in use, or cannot be
         written.
@@ -60,17 +60,17 @@ class Store:
         self._db.close()
 
     def rows(self) -> dict[int, Row]:
-        """Read the stored rows by number. Raises LogError: the file is damaged."""
+        """Read the stored rows by number. Raises LogError if the database is damaged."""
         with _explained(self.folder):
             return _rows(self._db)
 
     def add(self, row: Row) -> None:
-        """Write a row; on return it is complete on the disk. Raises LogError: it cannot be written."""
+        """Write a row to the disk before returning. Raises LogError if the row cannot be written."""
         with _explained(self.folder):
             self._write("INSERT OR REPLACE INTO rows VALUES (?, ?)", (row["row"], json.dumps(row)))
 
     def finish(self, rows: dict[int, Row]) -> Path:
-        """Write the table of all rows by number; return its path. Raises LogError: it cannot be written."""
+        """Write the table of all rows by number; return its path. Raises LogError if that fails."""
         table = self.folder / TABLE
         with _explained(self.folder), made_whole(table, overwrite=True) as temporary:
             parquet.write(temporary, self._columns, [rows[number] for number in sorted(rows)])
@@ -82,7 +82,7 @@ class Store:
         self._db.execute("BEGIN IMMEDIATE")
 
     def _take_over(self, identity: dict[str, str], *, fresh: bool) -> None:
-        """Prepare the database for this campaign. Raises LogError: it holds the rows of another campaign."""
+        """Prepare the database for this campaign. Raises LogError if it has rows of another campaign."""
         self._db.execute("CREATE TABLE IF NOT EXISTS made_of (name TEXT PRIMARY KEY, digest TEXT)")
         self._db.execute("CREATE TABLE IF NOT EXISTS rows (number INTEGER PRIMARY KEY, cells TEXT)")
         if fresh:
@@ -96,7 +96,7 @@ class Store:
 def stored_rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
     """Read the stored rows of a campaign by number, even while another process adds rows.
 
-    Nothing is written: the folder may be read-only. Raises LogError: another campaign's rows, or damaged.
+    Nothing is written: the folder may be read-only. Raises LogError: rows of another campaign, or damaged.
     """
     file = folder / DATABASE
     if not file.is_file():

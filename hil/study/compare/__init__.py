@@ -1,1 +1,1 @@
-"""`hil compare`: measure all control laws on one platform and path."""
+"""`hil compare`: measures all control laws on one platform and path in simulation."""

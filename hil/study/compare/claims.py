@@ -1,4 +1,4 @@
-"""Claims of the control chapter about its laws, checked against measurements.
+"""Statements of a textbook chapter about control laws, checked against simulated tracking errors.
 
 Section numbers are those of chapter 6, Control of Parallel Manipulators; docs/theory has its equations.
 """
@@ -47,9 +47,9 @@ Found = dict[str, Any]
 def judge(
     rows: Mapping[str, Outcome], settings: Mapping[str, ControllerSettings], shares: Mapping[str, Share]
 ) -> list[Found]:
-    """Claims about the compared laws, each with `holds` and `figures`.
+    """Check the chapter's statements about the compared laws; each result has keys `holds` and `figures`.
 
-    rows : outcomes by law, on the configuration's own path; shares : of the exact model's terms in the force.
+    rows : measurements by law, on the configuration's own path; shares : of the model's terms in the force.
     """
     compared = [found for claim in CLAIMS if (found := _compared(claim, rows))]
     every = [*compared, *_linear(rows, settings), _H_small(shares["H"])]
@@ -61,7 +61,7 @@ def _found(section: str, text: str, figures: str, *, holds: bool) -> Found:
 
 
 def _compared(claim: Claim, rows: Mapping[str, Outcome]) -> Found | None:
-    """Judge a claim; None if its errors were not measured, or inverse dynamics, its yardstick, faulted."""
+    """Check a statement; None if its errors were not measured, or the reference law, ID, faulted."""
     pair = (claim.other, claim.law)
     if not all(law in rows and rows[law].figures for law in pair):
         return None

@@ -1,4 +1,4 @@
-"""`hil compare CONFIG`: all laws on one platform, trajectory, disturbance and model mismatch."""
+"""`hil compare CONFIG`: simulates all laws on one platform with one trajectory, load and model error."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -47,8 +47,8 @@ def compare(
     """Measure laws along a configuration's reference and at home, draw them, and return the summary.
 
     laws : names; default: section `compare`, else all.
-    path_laws : names of the laws that also run with the losses removed, or `all` or `none`; default: the
-        configuration's own law.
+    path_laws : names of the laws that also run with signal losses removed, or `all` or `none`; default: the
+        configuration's own law. Losses: bus time, encoder resolution, drive lag.
     duration_s : along the reference; default one period of it.
     lift_limits : run without the limits of tracking error, force change and speed.
     jobs : number of processes; default one per processor, 1: this process.
@@ -105,7 +105,7 @@ def with_options(
     wrench: tuple[float, float, float, float, float, float] | None = None,
     wrench_at_s: float = 0.0,
 ) -> Configuration:
-    """Set command-line options in section `compare` of a configuration; None keeps a value."""
+    """Configuration with command-line options in section `compare`; wrench: N, N m; None keeps a value."""
     load = wrench and DisturbanceSettings(force_N=wrench[:3], moment_N_m=wrench[3:], start_s=wrench_at_s)
     given = {"compare.inertia_scale": inertia_scale, "compare.disturbance": load}
     return changed(c, {key: value for key, value in given.items() if value is not None})
@@ -170,7 +170,7 @@ def _died(job: Job) -> Outcome:
 
 
 def _shares(c: Configuration, duration: float) -> dict[str, Share]:
-    """Shares of the exact model's terms in the force along the reference; empty without a platform."""
+    """Shares of the exact model's terms in the leg force along the reference; empty without a platform."""
     assert c.plant is not None
     if isinstance(c.plant.model, BenchPlant):  # legs without a platform
         return {}

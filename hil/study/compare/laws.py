@@ -1,4 +1,4 @@
-"""Laws to compare, with gains derived from the configuration's own law, and paths with losses removed."""
+"""Laws to compare, with gains derived from the configured law, and configurations with losses removed."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar, get_args
@@ -34,7 +34,7 @@ IDEAL: dict[str, Any] = {
 
 
 def desired_loop(c: Configuration) -> DesiredLoop:
-    """Loop at home, with bandwidth and inertias, from which the default gains are derived."""
+    """Closed loop at home, with bandwidth and inertias, from which default gains are derived."""
     platform = build_platform(c.platform)
     p, R = pose_arrays(c.platform.home)
     J = jacobian(platform, p, R)
@@ -51,7 +51,7 @@ def _largest(inertia: Array) -> float:
 
 
 def _fit(settings: Section | None, kind: type[Kind]) -> Kind:
-    """Make settings of another kind from the keys that it shares with `settings`; None: all defaults."""
+    """Settings of class `kind`, filled with the keys that `settings` shares; None: all defaults."""
     given = {} if settings is None else {key: getattr(settings, key) for key in type(settings).model_fields}
     return kind.model_validate({key: value for key, value in given.items() if key in kind.model_fields})
 
@@ -61,7 +61,7 @@ def _model(c: Configuration) -> ModelSettings:
 
 
 def chosen(c: Configuration, names: Iterable[str] | None = None) -> dict[str, ControllerSettings]:
-    """Laws to compare, by name: the given ones, else section `compare`, else all.
+    """Laws to compare, by name: the given names, else section `compare`, else all.
 
     "All" leaves out laws without default settings: there may be no shipped controller for the loop's rate.
     The law of section `controller` keeps its settings there. Raises ConfigurationError: unknown name, or a
@@ -86,7 +86,7 @@ def chosen(c: Configuration, names: Iterable[str] | None = None) -> dict[str, Co
 
 
 def _default(name: str, c: Configuration, loop: DesiredLoop) -> ControllerSettings:
-    """Derive the settings of a law. Raises ConfigurationError: the configuration leaves some open."""
+    """Default settings of a law. Raises ConfigurationError if the configuration leaves a setting open."""
     if name == c.controller.law:
         return c.controller
     law = "inverse_dynamics" if name in VARIANTS else name
@@ -123,7 +123,7 @@ def _section(annotation: Any) -> type[Section]:
 
 
 def with_scale(settings: ControllerSettings, scale: float) -> ControllerSettings:
-    """Scale the masses in the model of a law; a law without a model, as PD, stays unchanged."""
+    """Settings of a law with its model's masses scaled; a law without a model, e.g. PD, stays unchanged."""
     model = getattr(settings, "model", None)
     if model is None or scale == 1.0:
         return settings
@@ -131,7 +131,7 @@ def with_scale(settings: ControllerSettings, scale: float) -> ControllerSettings
 
 
 def paths(c: Configuration) -> dict[str, Configuration]:
-    """Make the ideal configuration, then add encoder resolution, bus time and drive lag one by one.
+    """Configurations with signal losses removed: ideal, then encoder resolution, bus time, drive lag added.
 
     ideal: lengths and rates are exact numbers of the tick, no bus time, the force acts at once. A step that
     changes nothing is left out: a configuration without bus time has no bus to add. Delay compensation and
@@ -150,7 +150,7 @@ def paths(c: Configuration) -> dict[str, Configuration]:
 
 
 def changed(section: Part, changes: Mapping[str, Any]) -> Part:
-    """Copy of a section with some keys changed, `plant.drives.encoder_resolution_m`; not validated."""
+    """Copy of a section with some keys changed, e.g. `plant.drives.encoder_resolution_m`; not validated."""
     for key, value in changes.items():
         head, _, rest = key.partition(".")
         inner = changed(getattr(section, head), {rest: value}) if rest else value
@@ -165,7 +165,7 @@ def _no_lag(c: Configuration) -> Configuration:
 
 
 def _knowing(c: Configuration, **delays_ms: float) -> Configuration:
-    """Set other delays in the delay compensation of the law and in the wrench observer."""
+    """Configuration whose delay compensation and wrench observer assume other delays, ms."""
     changes: dict[str, Any] = {f"estimation.wrench.{key}": value for key, value in delays_ms.items()}
     if c.controller.lookahead is not None:
         delay = c.controller.lookahead.model_copy(update=delays_ms)
@@ -175,7 +175,7 @@ def _knowing(c: Configuration, **delays_ms: float) -> Configuration:
 
 
 def without_limits(c: Configuration) -> Configuration:
-    """Lift the limits of tracking error, force change and speed.
+    """Configuration without the limits of tracking error, force change and speed.
 
     The drives' rated force, the ends of the stroke, the consistency of the lengths and the condition of J
     remain limited: beyond them a comparison has no meaning.

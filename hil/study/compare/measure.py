@@ -1,6 +1,6 @@
-"""Measurement of one law on one configuration: along the reference, and a set-point step at home.
+"""Simulates one law on one configuration: along the reference, and with a set-point step at home.
 
-Errors of a law are results; they are never raised.
+Errors of a law become results; they are not raised.
 """
 
 import math
@@ -45,12 +45,12 @@ class Job(NamedTuple):
     """Time along the reference."""
     disturbance: DisturbanceSettings | None
     step: StepSettings | None
-    """None: no step on this path."""
+    """Set-point step at home; None: no step on this path."""
     settle_s: float
 
 
 class Outcome(NamedTuple):
-    """Result of a job."""
+    """Measurements of one law on one path, or the fault that ended it."""
 
     law: str
     path: str
@@ -59,14 +59,14 @@ class Outcome(NamedTuple):
     fault_s: float | None
     """Time of the fault along the reference; None: no fault, or a fault before tracking."""
     figures: dict[str, Any]
-    """Empty: nothing was measured."""
+    """Metrics by name; empty: nothing was measured."""
     traces: dict[str, Array]
     """Curves of the picture: t, error_mm, force_N, step_t, step."""
 
 
 @dataclass(frozen=True)
 class StepTrajectory:
-    """At rest at (p0, R0), from `at_s` on at (p1, R1). All rates are zero: nothing is fed forward."""
+    """Reference that jumps from pose (p0, R0) to (p1, R1) at `at_s`, with all rates zero: no feed-forward."""
 
     p0: Array
     R0: Array
@@ -76,14 +76,14 @@ class StepTrajectory:
     duration_s: float | None
 
     def sample(self, t: float) -> PoseSample:
-        """Pose at time t, at rest."""
+        """Pose at time t, s, with zero twist and acceleration."""
         still = np.zeros(6)
         p, R = (self.p0, self.R0) if t < self.at_s else (self.p1, self.R1)
         return PoseSample(p, R, still, still)
 
 
 def measure(job: Job) -> Outcome:
-    """Run a job. A fault, or an error of the law or the plant, becomes part of the outcome."""
+    """Simulate one law on one path. A fault, or an error of law or plant, becomes part of the outcome."""
     try:
         with collector_paused(), np.errstate(all="ignore"):  # a diverging law ends in its fault
             return _measure(job)
@@ -119,7 +119,7 @@ def _run(
     trajectory: Trajectory | None = None,
     load: DisturbanceSettings | None = None,
 ) -> Rows:
-    """Rows from the start until `duration_s` of tracking, the end of the trajectory, or a fault."""
+    """Tick rows from the start until `duration_s` of tracking, the end of the trajectory, or a fault."""
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3, trajectory=trajectory)
     nodes, physics = build_nodes(c, None if load is None else FaultPlan([_wrench(load)]))
@@ -165,7 +165,7 @@ def _tracking(rows: Rows) -> dict[str, Any]:
 def _at_rest(
     job: Job, c: Configuration, step: StepSettings
 ) -> tuple[dict[str, Any], dict[str, Array], str | None]:
-    """Figures, traces and fault of three phases at home: at rest, after a step, under the load."""
+    """Figures, curves and fault of a simulation at home: at rest, after a step, under the load."""
     rate, d = c.loop.rate_Hz, job.disturbance
     n = max(20, round(job.settle_s * rate))
     p, R = pose_arrays(c.platform.home)
@@ -202,7 +202,7 @@ def _at_rest(
 
 
 def _moved(rows: Rows, p: Array, R: Array) -> Array:
-    """Displacement (n, 6), m and rad, of the pose from (p, R), base frame."""
+    """Displacement (n, 6), m and rad, of the measured pose from (p, R), base frame."""
     turned = rotation_errors(rows["R"], np.broadcast_to(R.ravel(), (len(rows), 9)))
     return np.hstack([rows["p"] - p, turned])
 

@@ -1,4 +1,4 @@
-"""Picture of a comparison: error and force over time, the step response, the losses by path."""
+"""Picture of a comparison of laws: error and force over time, step response, errors by signal path."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +20,7 @@ FLOOR_MM = 1e-4
 def draw(
     laws: Mapping[str, Outcome], paths: Mapping[str, Mapping[str, Outcome]], file: Path, title: str
 ) -> Path:
-    """Draw a comparison into a PNG file. Raises OSError: it cannot be written."""
+    """Draw a comparison of laws into a PNG file. Raises OSError if the file cannot be written."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     figure = Figure(figsize=(14, 10), layout="constrained")
@@ -59,7 +59,7 @@ def draw(
 
 
 def _losses(axes: Any, paths: Mapping[str, Mapping[str, Outcome]]) -> None:
-    """Draw the peak error of each law by path; a cross marks a fault."""
+    """Draw the peak error of each law by signal path; a cross marks a fault."""
     axes.set(title="peak leg error with the losses of the path (X: fault)", ylabel="mm")
     if not paths:
         axes.text(0.5, 0.5, "not measured: --paths", ha="center", transform=axes.transAxes)

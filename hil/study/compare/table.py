@@ -1,4 +1,4 @@
-"""Tables of a comparison on the terminal."""
+"""Tables of `hil compare` on the terminal."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ Row = dict[str, Any]
 
 
 def _figure(title: str, key: str, form: str = "") -> Column:
-    """Column with one figure of each law; the default format is the one of summaries."""
+    """Table column with one figure of each law; the default format is that of summaries."""
     return Column(title, lambda row: figure(row[1].get(key), form))
 
 
@@ -48,7 +48,7 @@ CLAIMS = (
 
 
 def show(summary: Row) -> None:
-    """Print the laws, the losses by path, and the claims."""
+    """Print the tables of a comparison: laws, errors by signal path, and the chapter's statements."""
     step, laws = summary["step"], list(summary["laws"].items())
     _part(f"Along {summary['duration_s']:g} s of the reference", PATH, laws)
     _part(f"At home: at rest, then a step of {step['axis']} by {step['size']:g}", STEP, laws)
@@ -70,7 +70,7 @@ def _part(title: str, columns: Sequence[Column], rows: Sequence[Any]) -> None:
 
 
 def shown(summary: Row) -> Row:
-    """Lines below the tables."""
+    """Lines of the summary printed below the tables of a comparison."""
     terms = {"H": "H", "J_dot": "(dJ/dt) twist", "G": "gravity"}
     shares = [
         f"{terms[k]} up to {100 * s['share']:.3g} % ({s['force_N']:.4g} N)"
@@ -95,7 +95,7 @@ def unrest(row: Row) -> str:
 
 
 def result(row: Row) -> str:
-    """Fault and its time, or the ticks in which limits acted; else empty."""
+    """Fault of a law and its time, or the number of ticks in which limits acted; else empty."""
     if row["fault"]:
         return str(row["fault"]) + ("" if row["fault_s"] is None else f" at {row['fault_s']:.3f} s")
     acted = [f"{k.lower()} {n}" for k, n in row.get("limited_ticks", {}).items() if n]
@@ -103,7 +103,7 @@ def result(row: Row) -> str:
 
 
 def stage_title(name: str, stages: Sequence[str]) -> str:
-    """Title of a path: the losses that it adds to the path before it."""
+    """Title of a signal path: `+` and the losses that this path adds to the path before it."""
     return name if name in (stages[0], stages[-1]) else f"+ {name}"
 
 

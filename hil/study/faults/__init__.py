@@ -1,1 +1,1 @@
-"""`hil faults`: a matrix of kinds of faults and moments of a run, and its verdicts."""
+"""`hil faults`: injects each kind of fault at each moment of a simulated run, and judges the reactions."""

@@ -1,4 +1,4 @@
-"""One case of the fault matrix, run in lockstep."""
+"""Simulates one case of `hil faults`: one injected fault at one moment of a run."""
 
 import time
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ LONGEST_S = 60.0
 """Time limit of a case, s, in addition to the durations in its configuration."""
 HELD_S = 3.0
 """Observation time, s, of a platform that is held with force."""
-NO_LATCH = "obey any sender of commands and do not latch our stop"
+NO_LATCH = "obey commands of any sender, even after our stop command"
 """Weakness of the families whose `stop_latches` is False."""
 _NAMED_IN = {
     Fault.BRAKE: "legs_moved",
@@ -41,14 +41,14 @@ _NAMED_IN = {
 
 
 class Job(NamedTuple):
-    """A case and its bounds."""
+    """A case of `hil faults` with the bounds that its reaction must keep."""
 
     case: Case
     bounds: Bounds
 
 
 def run_case(job: Job) -> dict[str, Any]:
-    """Run a case; return its outcome as plain values. Key `success` is the verdict."""
+    """Simulate a case; return its outcome as plain values. Key `success`: the reaction kept its bounds."""
     begun = time.perf_counter()
     try:
         with collector_paused():
@@ -59,7 +59,7 @@ def run_case(job: Job) -> dict[str, Any]:
 
 
 def failed(job: Job, why: str = "its process died") -> dict[str, Any]:
-    """Outcome of a case that could not run."""
+    """Outcome of a case that could not be simulated; why: the reason."""
     return _head(job.case) | {"success": False, "verdict": f"could not be run: {why}"}
 
 
@@ -95,14 +95,14 @@ def _judged(job: Job) -> dict[str, Any]:
 
 
 def _weakness(kind: str, protocol: Family) -> str:
-    """Weakness of the drives that explains why a bound was exceeded; empty if they have none."""
+    """Weakness of the drives that explains why a bound was exceeded, as text; empty if there is no such."""
     if kind in COMMANDS_LOST and not protocol.traits.has_watchdog:
         return f"; the drives {NO_WATCHDOG}"
     return f"; the drives {NO_LATCH}" if kind in FOREIGN_COMMANDS and not protocol.traits.stop_latches else ""
 
 
 def _causes(cycle: Cycle, ending: Ending, named: dict[str, int]) -> dict[str, frozenset[int]]:
-    """Latched faults of a run, ENCODER with its doubt, each with its legs.
+    """{fault, ENCODER with its kind of error: legs} reported in a run.
 
     named : for each column of `_NAMED_IN`, the bits of all ticks.
     """
@@ -122,7 +122,7 @@ def _legs(bits: int) -> frozenset[int]:
 
 
 def _still_observed(cycle: Cycle, tick: int, rested: int, ended: int) -> bool:
-    """Check whether a run that could have ended is still to be observed.
+    """True if a run that could have ended is observed further, to see whether the legs stay at rest.
 
     rested : number of ticks in a row in which it could have ended; ended : first such tick. If frames are
     lost, a held platform repeatedly changes between force and closed brakes.
@@ -134,7 +134,7 @@ def _still_observed(cycle: Cycle, tick: int, rested: int, ended: int) -> bool:
 
 
 def _longest_s(case: Case, durations: Durations) -> float:
-    """Time limit of a case, s. Section `engage` may require minutes."""
+    """Time limit of a case, s, with the durations that section `engage` requires, which may be minutes."""
     c, timed = case.configuration, (Mode.LOADING, Mode.RELEASING, Mode.PARKING, Mode.UNLOADING)
     stroke_m = c.platform.length_max_m - c.platform.length_min_m
     moves_s = max(stroke_m / c.engage.approach_speed_m_s, c.engage.blend_s) + case.track_s + c.engage.stop_s
@@ -142,7 +142,7 @@ def _longest_s(case: Case, durations: Durations) -> float:
 
 
 def _run(case: Case) -> tuple[Trace | None, Ending]:
-    """Run a case; return its trace (None: the fault did not begin) and its end."""
+    """Simulate a case; return its trace (None: the fault did not begin) and its end."""
     c = case.configuration
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)

@@ -1,4 +1,4 @@
-"""Cases of the matrix: each kind of fault at each moment of a run."""
+"""Cases of `hil faults`: each kind of fault at each moment of a run."""
 
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
@@ -36,7 +36,7 @@ _BENCH = ("drive_", "frames_")
 
 
 class Case(NamedTuple):
-    """One run of the matrix."""
+    """One simulated run of `hil faults`, with one injected fault."""
 
     configuration: Configuration
     fault: Fault
@@ -46,12 +46,12 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """`KIND/MOMENT`, for the patterns of --only."""
+        """Name of the case, `KIND/MOMENT`, which the patterns of --only match."""
         return f"{self.fault.kind}/{self.moment}"
 
     @property
     def given(self) -> str:
-        """Leg and size as text; empty for a kind with neither."""
+        """Leg and size of the injected fault as text; empty for a kind without both."""
         plain = self.fault.model_copy(update={"mode": None, "at_s": 0.0})
         return show_fault(plain).partition(" ")[2]
 
@@ -59,12 +59,11 @@ class Case(NamedTuple):
 def cases(
     c: Configuration, only: Sequence[str] = (), legs: Sequence[int] = (), seed: int | None = None
 ) -> list[Case]:
-    """Cases of a configuration; with `only`, those that match one of its patterns.
+    """Cases of `hil faults` for a configuration; with `only`, those that match one of its patterns.
 
-    legs : legs for the kinds that affect one leg, a case for each; default LEG.
-    seed : draws leg (of `legs`, by default of all six), size and sign of each case; None: usual sizes.
-    Raises ConfigurationError: a pattern without a match, a leg that does not exist, or a reference that waits
-    for set-points.
+    legs : legs for the kinds that affect one leg, a case for each; default LEG. seed : draws leg (of `legs`,
+    by default of all six), size and sign of each case; None: usual sizes. Raises ConfigurationError: a
+    pattern without a match, a leg that does not exist, or a reference that waits for set-points.
     """
     if isinstance(c.reference, LiveReference):
         raise ConfigurationError(
@@ -99,7 +98,7 @@ def cases(
 def _sizes(
     r: Robot, name: str, moment: Moment, legs: Sequence[int], seed: int | None
 ) -> Iterator[dict[str, Any]]:
-    """Yield leg and size of a kind, once per leg of `legs`; with a seed, one random draw."""
+    """Yield leg and size of a kind of fault, once per leg of `legs`; with a seed, one random draw."""
     fields = FAULTS[name].model_fields
     chance = None if seed is None else np.random.default_rng((seed, crc32(f"{name}/{moment}".encode())))
     whose = legs if legs and "leg" in fields else (LEG,)
@@ -133,7 +132,7 @@ def _fits(c: Configuration, name: str) -> bool:
 
 
 def _held(c: Configuration) -> Configuration:
-    """Replace the reference by one that rests at home until the run is stopped.
+    """Configuration whose reference rests at home until the run is stopped.
 
     The reference has an end, because some laws need one. Learned feed-forward belongs to another reference
     and is removed.

@@ -1,4 +1,4 @@
-"""`hil faults CONFIG`: inject each kind of fault at each moment of a run, and check the bounds."""
+"""`hil faults CONFIG`: injects each kind of fault at each moment of a run, and checks the reactions."""
 
 import time
 from collections import Counter
@@ -26,12 +26,11 @@ def run_matrix(
     jobs: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Run the matrix, or the cases that match `only`; return the summary (key `success`: all passed).
+    """Simulate all cases, or the cases that match `only`; return the summary (key `success`: all passed).
 
-    legs, seed : as in `cases`.
-    jobs : number of processes; default one per processor, 1: this process.
-    Raises ConfigurationError: the configuration cannot run, or a pattern matches no case; PlantError: the
-    plant cannot be opened.
+    legs, seed : as in `cases`. jobs : number of processes; default one per processor, 1: this process. Raises
+    ConfigurationError: the configuration cannot run, or a pattern matches no case; PlantError: the plant
+    cannot be opened.
     """
     begun = time.perf_counter()
     c.require("sim")
@@ -59,7 +58,7 @@ def run_matrix(
 
 
 def show(summary: dict[str, Any]) -> None:
-    """Print one line per case."""
+    """Print a table with one line per case: fault, moment, reaction and result."""
     columns = (
         Column("fault", lambda case: case["kind"], left=True),
         Column("when", lambda case: case["when"], left=True),
@@ -75,7 +74,7 @@ def show(summary: dict[str, Any]) -> None:
 
 
 def reaction(case: dict[str, Any]) -> str:
-    """Describe the final mode of a case, its faults and their legs."""
+    """Text of a case's reaction: its final mode, the reported faults and their legs."""
     if "ended" not in case:
         return "-"
     legs = f"leg {', '.join(map(str, case['legs']))}" if case["legs"] else ""
@@ -83,12 +82,12 @@ def reaction(case: dict[str, Any]) -> str:
 
 
 def shown(summary: dict[str, Any]) -> dict[str, Any]:
-    """Summary without the matrix."""
+    """Summary of `hil faults` without the list of cases."""
     return {key: value for key, value in summary.items() if key != "matrix"}
 
 
 def verdicts(summary: dict[str, Any]) -> Iterator[Verdict]:
-    """Yield one JUnit case per case of the matrix."""
+    """Yield one JUnit test case for each case of `hil faults`."""
     places = Counter((case["kind"], case["when"]) for case in summary["matrix"])
     for case in summary["matrix"]:
         alone = places[case["kind"], case["when"]] == 1

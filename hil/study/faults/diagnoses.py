@@ -1,4 +1,4 @@
-"""Expected diagnosis of each kind of fault at the plant's end; docs/guides/faults.md has the reasons.
+"""Expected diagnosis of each kind of injected fault; docs/guides/faults.md gives the reasons.
 
 A run that reports one of the expected faults has found the cause. A cause at one leg must be reported with
 that leg. Consequences of the cause may be reported, too.
@@ -62,12 +62,12 @@ EXPECTED = {
 
 
 def expects(causes: Iterable[str], cause: str) -> bool:
-    """Check whether a cause is among the expected ones; ENCODER alone covers any doubt."""
+    """True if a reported cause is among the expected ones; `ENCODER` alone covers any encoder error."""
     return any(each in (cause, cause.partition("/")[0]) for each in causes)
 
 
 def bits_of(causes: Iterable[str]) -> int:
-    """Fault bits of some causes."""
+    """Bits of Fault for names of causes, e.g. `ENCODER/JUMP`."""
     bits = Fault.NONE
     for cause in causes:
         bits |= Fault[cause.partition("/")[0]]

@@ -1,4 +1,4 @@
-"""Sizes of the faults in the matrix: the usual one of each kind, or one drawn from its range."""
+"""Sizes of the faults that `hil faults` injects: the usual size of each kind, or one drawn from a range."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ Chance = np.random.Generator
 
 
 class Robot(NamedTuple):
-    """Properties of the robot on which sizes depend."""
+    """Properties of the robot on which the sizes of injected faults depend."""
 
     c: Configuration
     static_N: Array
@@ -25,12 +25,12 @@ class Robot(NamedTuple):
 
     @property
     def rated_N(self) -> float:
-        """Largest force of a drive, N."""
+        """Rated force of a drive, N."""
         return self.c.drives.force_limit_N
 
 
 def robot_of(c: Configuration) -> Robot:
-    """Properties of a configuration's robot on which sizes depend."""
+    """Properties of a configuration's robot on which the sizes of injected faults depend."""
     platform = build_platform(c.platform)
     home, still = pose_arrays(c.platform.home), np.zeros(6)
     tau = Model(platform, leg_spin=c.platform.leg_spin).inverse_dynamics(*home, still, still)
@@ -39,7 +39,7 @@ def robot_of(c: Configuration) -> Robot:
 
 
 def _log(chance: Chance, low: float, high: float) -> float:
-    """Draw a number whose logarithm is uniform."""
+    """Draw a number in [low, high] whose logarithm is uniformly distributed."""
     return float(np.exp(chance.uniform(np.log(low), np.log(high))))
 
 
@@ -56,7 +56,7 @@ def _whole(chance: Chance, low: float, high: float) -> int:
 
 
 def _of_brake(r: Robot, leg: int, of_need: float) -> float:
-    """Share of a brake's force that is `of_need` times the force on the leg at rest; at most 1."""
+    """Share, at most 1, of a brake's force that is `of_need` times the leg force at rest at home."""
     assert r.c.plant is not None
     model = r.c.plant.model
     whole = model.brake_force_N if isinstance(model, StewartPlant) else r.rated_N
@@ -64,7 +64,7 @@ def _of_brake(r: Robot, leg: int, of_need: float) -> float:
 
 
 class Size(NamedTuple):
-    """Size of a kind with one key: its usual value, its range, and its conversion to the robot's unit."""
+    """Size of a kind of fault with one key: usual value, range, and conversion to the key's unit."""
 
     key: str
     usual: float | None
@@ -105,7 +105,7 @@ SIZES: dict[str, Size] = {
 
 
 def size_of(kind: str, r: Robot, leg: int, chance: Chance | None) -> dict[str, Any]:
-    """Keys of a kind. Drawn values have four digits, so that the fault's text shows them exactly."""
+    """Keys of an injected fault's size; values drawn with `chance` have four digits, exact in its text."""
     found: dict[str, Any] = {"rate_Hz": r.c.loop.rate_Hz} if kind == "bus_second_controller" else {}
     if kind == "wrench_step":  # from above, or from any direction
         force = np.array([0.0, 0.0, -0.25 * r.weight_N])

@@ -1,4 +1,4 @@
-"""Verdict on a run with a fault: its reaction, when it came, and how far the legs truly moved.
+"""Judges a simulated run with an injected fault: its reaction, the delay, and the true motion of the legs.
 
 All lengths are the plant's true ones. The error before the reaction counts from the reference while the
 brakes are open, else from where the legs stood. The travel after it counts from the lengths at the reaction.
@@ -40,16 +40,16 @@ _NO_CAUSES: Mapping[str, frozenset[int]] = {}
 
 
 class Trace(NamedTuple):
-    """Record of a run, tick by tick."""
+    """Record of a simulated run with an injected fault, n ticks."""
 
     length: Array
-    """(n, 6) m, true."""
+    """(n, 6) m, true leg lengths."""
     desired: Array
-    """(n, 6) m, reference."""
+    """(n, 6) m, leg lengths of the reference."""
     mode: Ints
-    """(n,) Mode."""
+    """(n,) controller mode, values of Mode."""
     faults: Ints
-    """(n,) Fault, bits latched so far."""
+    """(n,) faults so far, bits of Fault."""
     rate_Hz: float
     begun: int
     """First tick with the fault; if the plant fails in it, the tick after the last."""
@@ -65,7 +65,7 @@ class Trace(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Bounds of a configuration, m."""
+    """Largest allowed leg motions in m, from a configuration."""
 
     stopping_m: float
     """Stopping distance with the brakes, as `hil check` prints it."""
@@ -77,7 +77,7 @@ class Bounds(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Observations of a run."""
+    """Measurements on a run with an injected fault: delays in ticks, leg motions in m."""
 
     declared: int | None
     """Ticks from the fault's beginning to the reaction; None: no reaction."""
@@ -108,18 +108,18 @@ class Seen(NamedTuple):
 
 
 def found_s(rate_Hz: float) -> float:
-    """Longest true motion, s, until a jump or a freeze must be detected; a slow loop needs longer."""
+    """Longest true motion, s, until a frozen or jumping encoder must be detected; longer for slow loops."""
     period_s = 1.0 / rate_Hz
     return max(float(np.interp(period_s, (1e-3, 4e-3, 10e-3), (20e-3, 44e-3, 70e-3))), 7.0 * period_s)
 
 
 def rest_s(t: Trace) -> float:
-    """Time, s, at the end of a run in which the platform has to stand still."""
+    """Time, s, at the end of a run in which the platform must stand still."""
     return HELD_REST_S if t.mode[-1] == Mode.HELD else REST_S
 
 
 def see(kind: str, t: Trace) -> Seen:
-    """Observations of a run since a fault of a kind began."""
+    """Measure delays and leg motions of a run from the start of a kind of fault."""
     n, k0 = len(t.mode), max(t.begun - 1, 0)
     declared = _first(t.faults[t.begun :] != 0)
     diagnosed = _first(t.faults[t.begun :] & bits_of(EXPECTED[kind]) != 0)
@@ -160,13 +160,12 @@ def see(kind: str, t: Trace) -> Seen:
 
 
 def _first(true: Array) -> int | None:
-    """Index of the first true element."""
     found = np.flatnonzero(true)
     return int(found[0]) if found.size else None
 
 
 def judge(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
-    """Check whether a run keeps the bound of its kind and reports cause and leg; return also the reason."""
+    """(passed, reason): whether a run keeps the bound of its kind of fault, and reports cause and leg."""
     if t.failed:
         if kind in PLANT_FAILS:
             return True, "the plant failed and reported it"
@@ -185,7 +184,7 @@ def judge(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
 
 
 def _bounded(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
-    """Judge how far the legs moved before and after a reaction."""
+    """(passed, text): whether the legs moved no further than allowed before and after the reaction."""
     if kind.startswith("brake_"):
         good, text = _at_most("error", s.error_m, BRAKE_m)
         if not good:
@@ -202,13 +201,13 @@ def _bounded(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
     if kind in _FOUND:
         late_s, allowed_s = s.found_ticks / t.rate_Hz, found_s(t.rate_Hz)
         good = s.found_m <= FOUND_m or late_s <= allowed_s + 1e-9
-        what = f"found after {_mm(s.found_m)} of true motion and {1e3 * late_s:.0f} ms"
+        what = f"detected after {_mm(s.found_m)} of true motion and {1e3 * late_s:.0f} ms"
         return good, what if good else f"{what}, allowed: {_mm(FOUND_m)} or {1e3 * allowed_s:.0f} ms"
     if kind in _FORGED:
         diagnosed = s.declared if s.diagnosed is None else s.diagnosed
         if diagnosed is None or diagnosed > FORGED_TICKS:
-            return False, f"declared after {diagnosed} ticks, allowed: {FORGED_TICKS}"
-        return _at_most("error until declared", s.added_m, FORGED_m)
+            return False, f"reported after {diagnosed} ticks, allowed: {FORGED_TICKS}"
+        return _at_most("error until reported", s.added_m, FORGED_m)
     return _at_most("moved", s.error_m, BRAKE_m if s.stood else bounds.stopping_m)
 
 
@@ -227,7 +226,7 @@ def _missing(kind: str, t: Trace) -> str:
 
 
 def _without_reaction(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
-    """Judge a run without a reaction."""
+    """(passed, text) for a run in which the controller did not react to the fault."""
     if not t.success:
         return False, "ended without a reaction, but not parked"
     if kind in _NOT_OBSERVABLE:
@@ -240,10 +239,10 @@ def _without_reaction(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[boo
             return True, f"{NOT_OBSERVABLE}: the leg did not move"
         good, text = _at_most("error", s.error_m, FOUND_m)
         if kind == _AT_REST:
-            return good, f"harmless, {text}" if good else f"not found: {text}"
-        return False, f"not found: error {_mm(s.error_m)}"
+            return good, f"harmless, {text}" if good else f"not detected: {text}"
+        return False, f"not detected: error {_mm(s.error_m)}"
     if kind in _FORGED:
-        return False, f"not declared, {_mm(s.error_m)} of error"
+        return False, f"not reported, {_mm(s.error_m)} of error"
     follows_m = bounds.harmless_m + bounds.harmless_s * s.speed_m_s
     allowed = BRAKE_m if s.stood or kind.startswith("brake_") else follows_m
     good, text = _at_most("error", s.error_m, allowed)

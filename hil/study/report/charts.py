@@ -1,4 +1,4 @@
-"""Charts of the page: the plots of the viewers, and curves that are not in any column."""
+"""Charts of the report page: the plots of the log viewers, and curves computed from several columns."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -21,7 +21,7 @@ DOTTED = ("p_d", "q_d", "dq_d", "drive_force", "lyapunov_bound")
 
 
 class Curve(NamedTuple):
-    """One line of a chart."""
+    """One line of a chart on the report page."""
 
     label: str
     values: Array
@@ -31,7 +31,7 @@ class Curve(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """Curves with one unit over time."""
+    """One chart on the report page: curves with one unit over time."""
 
     key: str
     section: str
@@ -45,7 +45,7 @@ class Chart(NamedTuple):
 
 
 def charts(rows: Rows, c: Configuration | None, traffic: Traffic, rate_Hz: float) -> list[Chart]:
-    """Charts of a run in their order, without those that have no data. rows has dtype ROW."""
+    """Charts of a run for the report page, without those that have no data. rows (n,) has dtype ROW."""
     follows = (rows["mode"] >= Mode.RELEASING) & (rows["mode"] <= Mode.PARKING)
     return [
         *_columns(rows, follows, _levels(c, rate_Hz)),
@@ -56,7 +56,7 @@ def charts(rows: Rows, c: Configuration | None, traffic: Traffic, rate_Hz: float
 
 
 def _levels(c: Configuration | None, rate_Hz: float) -> dict[str, Sequence[float]]:
-    """Limits by title of the plot."""
+    """{plot title: limits}, drawn as horizontal lines."""
     levels: dict[str, Sequence[float]] = {"Share": (1.0,), TIMES: (1e6 / rate_Hz,)}
     if c is not None:
         force, speed = min(c.limits.force_N, c.drives.force_limit_N), c.limits.speed_m_s
@@ -66,7 +66,7 @@ def _levels(c: Configuration | None, rate_Hz: float) -> dict[str, Sequence[float
 
 
 def _columns(rows: Rows, follows: Flags, levels: dict[str, Sequence[float]]) -> Iterator[Chart]:
-    """Yield the plots of the viewers, one chart per unit; references only while they are followed."""
+    """Yield the plots of the log viewers, one chart per unit; references only while they are followed."""
     shown = {
         "p": has_pose(rows, "p", "R"),
         "p_d": follows & has_pose(rows, "p_d", "R_d"),
@@ -129,7 +129,7 @@ def _modes(rows: Rows) -> Iterator[Chart]:
 
 
 def lanes(rows: Rows) -> list[tuple[str, Flags]]:
-    """Bits of FLAGS that are ever set, in the table's order: column and bit, and mask (n,) of the ticks."""
+    """Bits of FLAGS that are ever set: label with column and bit, and mask (n,) of the ticks with the bit."""
     bits = [(name, text, bit) for name in FLAGS for text, bit in COLUMNS[name].names.items()]
     found = [(f"{name} {text}", (rows[name] & bit) != 0) for name, text, bit in bits]
     return [(label, there) for label, there in found if there.any()]

@@ -1,4 +1,4 @@
-"""`hil report`: write one HTML page about a log."""
+"""`hil report`: writes one HTML page about the run in a log."""
 
 import time
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ from hil.study.report.timing import counts, spreads, traffic
 
 
 def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[str, Any]:
-    """Write the page of a log; return the summary.
+    """Write the HTML page about the run in a log; return the summary.
 
     Raises LogError: not a log of `hil run` or `hil sim`, columns of another version, no tick, or `out` exists
     and `force` is not set.
@@ -63,7 +63,7 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
 
 
 def _configuration(log: Log) -> tuple[Configuration | None, str]:
-    """Read the configuration of the run; return None and the reason if it cannot be read."""
+    """(configuration of the run, ""), or (None, reason) if the log's configuration cannot be read."""
     try:
         return loads(log.configuration, f"{log.path}:config.yaml"), ""
     except (LogError, ConfigurationError) as error:
@@ -109,7 +109,7 @@ def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> 
 
 
 def _curves(shown: Sequence[Chart], t: Array, modes: Sequence[Html]) -> list[Html]:
-    """Sections of charts in their order; the tables of modes follow their charts."""
+    """Sections of the page with charts, in their order; the tables of modes follow the charts of modes."""
     hint = (
         "Drag to zoom, double click to see all; with the keyboard: arrows move the cursor, + and - zoom, "
         "Shift with arrows pans, 0 shows all. All curves share one time axis. Errors are reference "

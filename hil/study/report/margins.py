@@ -1,6 +1,6 @@
 """Smallest margin of a run to each limit of the controller, from its recorded rows.
 
-The quantities are those of the rules in `hil.safety`, over the ticks in which each rule applies.
+The quantities are those of the safety rules in `hil.safety`, over the ticks in which each rule applies.
 """
 
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ _CLOSED = (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
 
 
 class Margin(NamedTuple):
-    """Instant at which a run came nearest to a limit."""
+    """Instant at which a run came nearest to a limit, with value and limit."""
 
     name: str
     key: str
@@ -44,12 +44,12 @@ class Margin(NamedTuple):
 
     @property
     def used_percent(self) -> float:
-        """Used share of the limit; above 100 the limit was exceeded."""
+        """Value as a percentage of the limit; above 100 the limit was exceeded."""
         return 100.0 * self.value / self.limit if self.limit else float("inf")
 
 
 def margins(rows: Rows, c: Configuration, rate_Hz: float) -> list[Margin]:
-    """Smallest margin of every limit that applied, the nearest first. rows, n > 0, has dtype ROW."""
+    """Smallest margin to every limit that applied, the nearest first. rows (n,), n > 0, has dtype ROW."""
     mode, well = rows["mode"], rows["faults"] == 0
     struck = np.concatenate((well[:1], well[:-1]))  # the tick of a fault counts, its reaction does not
     before = np.concatenate((mode[:1], mode[:-1]))  # with the rules of the mode before
@@ -159,13 +159,13 @@ def _fused(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Itera
 
 
 def _legs_of(rows: Rows, column: str) -> Mask:
-    """Mask (n, 6) of the legs whose bits are set in a column."""
+    """Mask (n, 6) of the legs whose bits are set in a column of leg bits."""
     legs: Mask = (rows[column][:, None] >> np.arange(LEGS) & 1) > 0
     return legs
 
 
 def _lasting(values: Array, ticks: int) -> Array:
-    """Smallest of the last `ticks` values, (n,) or (n, 6), in each row; NaN counts as 0."""
+    """Smallest of the last `ticks` values in each row, (n,) or (n, 6): a level kept that long; NaN is 0."""
     n = min(ticks, len(values) + 1)
     filled = np.where(np.isnan(values), 0.0, values)
     least: Array = minimum_filter1d(filled, n, axis=0, origin=(n - 1) // 2, mode="constant")
@@ -173,7 +173,7 @@ def _lasting(values: Array, ticks: int) -> Array:
 
 
 def _recent(which: Mask) -> Array:
-    """Count (n,) in how many of the last HISTORY ticks `which` was True."""
+    """Number (n,) of the last HISTORY ticks in which `which` was True."""
     return np.asarray(np.convolve(which, np.ones(HISTORY))[: len(which)], np.float64)
 
 
@@ -194,7 +194,7 @@ def _nearest(
 
 
 def _excused(rows: Rows, c: Configuration) -> Mask:
-    """Mask (n, 6) of lost encoders whose loss is tolerated: see `PoseFusion`."""
+    """Mask (n, 6) of lost encoders whose loss sensor fusion tolerates: see `PoseFusion`."""
     fusion, lost = c.estimation.fusion, _legs_of(rows, "legs_lost")
     may = np.isin(np.arange(LEGS), fusion.may_lose_legs) & (c.estimation.pose == "fused")
     excused: Mask = lost & may & (lost.sum(axis=1) <= fusion.lost_at_once)[:, None]
@@ -202,10 +202,10 @@ def _excused(rows: Rows, c: Configuration) -> Mask:
 
 
 def _counted_age(rows: Rows, mode: Ints, c: Configuration) -> Ints:
-    """Age (n, 6), ticks, of each leg's feedback as safety judges it: 0 for a leg whose loss is tolerated.
+    """Age (n, 6), ticks, of each leg's feedback as the safety rules count it: 0 for a tolerated loss.
 
-    mode (n,): every leg counts during brake tests, since an estimate cannot prove a brake, and in rows with
-    a fault of age.
+    mode (n,): every leg counts during brake tests, since an estimate cannot prove a brake, and in rows with a
+    fault of age.
     """
     proves = np.isin(mode, (Mode.LOADING, Mode.UNLOADING)) | ((rows["faults"] & Fault.STALE) != 0)
     age: Ints = np.where(_excused(rows, c) & ~proves[:, None], 0, rows["age"])

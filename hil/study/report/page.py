@@ -1,4 +1,4 @@
-"""The page: one HTML file that contains its styles, scripts and numbers, and loads nothing.
+"""Builds the report page: one HTML file that contains its styles, scripts and numbers, and loads nothing.
 
 Its content security policy allows only the scripts below, by their checksums. All text is escaped, except
 what `tag` has made.
@@ -32,13 +32,13 @@ SHARED = {"scene.js", "uPlot.iife.min.js", "uPlot.min.css", LICENCE}
 
 
 class Html(str):
-    """Finished HTML, without raw text of a log."""
+    """Finished HTML; any text of a log in it is escaped."""
 
     __slots__ = ()
 
 
 def tag(name: str, *content: object, **attributes: object) -> Html:
-    """Make an element. Content that is not Html is escaped; `class_` is class, `data_x` is data-x."""
+    """HTML element; content that is not Html is escaped. `class_` means class, `data_x` means data-x."""
     given = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(str(value), quote=True)}"'
         for key, value in attributes.items()
@@ -48,12 +48,12 @@ def tag(name: str, *content: object, **attributes: object) -> Html:
 
 
 def joined(content: Iterable[object]) -> Html:
-    """Contents one after the other; what is not Html is escaped."""
+    """HTML of several contents in a row; contents that are not Html are escaped."""
     return Html("".join(x if isinstance(x, Html) else escape(str(x), quote=True) for x in content))
 
 
 def prose(text: str) -> Html:
-    """Escaped text, in which parts between backticks are code."""
+    """Text as HTML: escaped, with parts between backticks as code."""
     parts = text.split("`")
     if len(parts) % 2 == 0:
         return joined([text])
@@ -61,7 +61,7 @@ def prose(text: str) -> Html:
 
 
 def table(head: Iterable[object], rows: Iterable[Iterable[object]], caption: str = "") -> Html:
-    """Make a table in a scrolling box; the first cell of each row is its heading."""
+    """HTML table in a scrolling box; the first cell of each row is its heading."""
     lines = [
         tag("tr", tag("th", first, scope="row"), *(tag("td", cell) for cell in rest)) for first, *rest in rows
     ]
@@ -71,13 +71,13 @@ def table(head: Iterable[object], rows: Iterable[Iterable[object]], caption: str
 
 
 def asset(name: str) -> str:
-    """Content of an asset of the report, or of one shared with the live page."""
+    """Text of a style sheet or script of the report, or of one shared with the page of `hil watch`."""
     room = "hil.app.watch" if name in SHARED else "hil.study.report"
     return importlib.resources.files(room).joinpath("assets", name).read_text("utf-8")
 
 
 def page(title: str, body: Sequence[Html], data: dict[str, Any]) -> str:
-    """Make the whole page. data : plain values that the scripts draw."""
+    """Complete HTML text of the report page; data: plain values that the scripts draw."""
     licence = tag(
         "details", tag("summary", "Licence of uPlot, which draws the curves"), tag("pre", asset(LICENCE))
     )
@@ -87,7 +87,7 @@ def page(title: str, body: Sequence[Html], data: dict[str, Any]) -> str:
 
 
 def document(title: str, body: Sequence[Html], styles: Sequence[str], scripts: Sequence[str] = ()) -> str:
-    """HTML file with these assets as styles and these scripts at its end; it loads nothing."""
+    """HTML text of a page with these assets as styles and these scripts at its end; it loads nothing."""
     sums = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{each}'" for each in sums) or "'none'"
     policy = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
@@ -106,13 +106,13 @@ def document(title: str, body: Sequence[Html], styles: Sequence[str], scripts: S
 
 
 def as_script(data: dict[str, Any]) -> str:
-    """JSON that cannot end the script element around it."""
+    """Data as JSON text that cannot end the HTML script element around it."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def drawn(charts: Sequence[Chart], t: Array) -> list[dict[str, Any]]:
-    """Charts as the scripts read them, thinned to the resolution of a screen. t (n,) s."""
+    """Charts as plain values for the scripts, thinned to the resolution of a screen; t (n,) s."""
     found = []
     for chart in charts:
         x, series = thin(t, [curve.values for curve in chart.curves])
@@ -123,7 +123,7 @@ def drawn(charts: Sequence[Chart], t: Array) -> list[dict[str, Any]]:
 
 
 def figure(chart: Chart, t: Array) -> Html:
-    """Place of a chart, with a table of its curves' extremes for readers who cannot see it."""
+    """HTML of a chart's place, with a table of its curves' extremes for readers who cannot see it."""
     title = titled(chart.title, chart.unit)
     caption, named = tag("figcaption", title), {"data_key": chart.key, "aria_label": title}
     place = tag("div", class_="chart", tabindex=0, role="application", **named)
@@ -142,7 +142,7 @@ def figure(chart: Chart, t: Array) -> Html:
 
 
 def thin(t: Array, series: list[Array], bins: int = BINS) -> tuple[Array, list[Array]]:
-    """Thin each series to two samples per bin, its minimum and its maximum there.
+    """Thin each series to two samples per bin, its minimum and its maximum in the bin.
 
     t (n,) s; each of series (n,). Up to 2 bins samples are returned unchanged. A bin has two instants, those
     of its first and its middle sample; the minimum comes first if the series rises across the bin. NaN

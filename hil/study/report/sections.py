@@ -1,4 +1,4 @@
-"""Sections of the page: what happened, the margins of the limits, and the timing."""
+"""Sections of the report page: what happened, the margins to the limits, and the timing."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -26,7 +26,7 @@ UNSEEN = (
 
 
 def opening(failure: Failure, rows: Rows, remark: str) -> Html:
-    """First lines: good or bad, and what the log lacks."""
+    """First section of the page: whether the run ended well, and which part of the log is missing."""
     mode = mode_name(int(rows["mode"][-1]))
     if failure.headline:
         kind, text = "bad", f"Went wrong: {failure.headline}"
@@ -41,7 +41,7 @@ def opening(failure: Failure, rows: Rows, remark: str) -> Html:
 
 
 def what_went_wrong(failure: Failure) -> Html:
-    """Story of the faults: leg, value, limit, time, drives, reaction, next steps."""
+    """Section about the faults: leg, value, limit, time, drives, reaction and next steps."""
     head = ("fault", "since, s", "in mode", "leg", "value", "limit", "what happened")
     rows = [
         (f.fault, "" if f.time_s is None else f"{f.time_s:.3f}", f.mode, *f.cells, prose(f.text))
@@ -55,7 +55,7 @@ def what_went_wrong(failure: Failure) -> Html:
 
 
 def limits(found: Sequence[Margin], t: Array, why_not: str) -> Html:
-    """Smallest margin of every limit, the nearest first."""
+    """Section with a table of the smallest margin to every limit, the nearest first."""
     title = tag("h2", "Smallest margin of every limit")
     if why_not:
         return tag("section", title, tag("p", why_not), id="limits")
@@ -78,19 +78,19 @@ def limits(found: Sequence[Margin], t: Array, why_not: str) -> Html:
 
 
 def _used(percent: float) -> Html:
-    """Bar with its number."""
+    """Bar that shows a percentage of a limit, with its number."""
     text, ends = f"{percent:.1f} %", {"min": 0, "max": 100, "low": 80, "high": 95, "optimum": 0}
     bar = tag("meter", text, **ends, value=f"{percent:.2f}", aria_label=text)
     return joined((bar, tag("span", f" {text}")))
 
 
 def figures(values: Sequence[tuple[str, str]]) -> Html:
-    """Figures of the run."""
+    """Section with a table of the run's figures: names and values."""
     return tag("section", tag("h2", "The run"), table(("figure", "value"), values), id="figures")
 
 
 def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
-    """Tables of modes, of bits that were set, and of events."""
+    """Tables of the modes, of fault and warning bits that were set, and of events."""
     lines = [
         (mode_name(mode), f"{t[a]:.3f}", f"{t[min(b, len(t) - 1)] - t[a]:.3f}")
         for mode, a, b in spells(rows["mode"])[:EVENTS]
@@ -111,7 +111,7 @@ def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
 
 
 def spells(values: Ints) -> list[tuple[int, int, int]]:
-    """List spells of equal values (n,), n > 0: value, first row, row after the last."""
+    """Runs of equal values (n,), n > 0: list of (value, first row, row after the last)."""
     edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
     return [(int(values[a]), a, b) for a, b in pairwise(edges)]
 
@@ -122,7 +122,7 @@ def timing(
     counted: Sequence[tuple[str, int]],
     stood: Sequence[tuple[str, str]],
 ) -> Html:
-    """Make the timing certificate: percentiles, counts, bench time that stood still, and the machine."""
+    """Section about timing: percentiles, counts, pauses of the bench's time, and the machine."""
     parts: list[Html] = [tag("h2", "Timing certificate")]
     if log.lockstep:
         parts.append(

@@ -1,4 +1,4 @@
-"""Faults of a logged run: the story in its summary, else the faults in its rows."""
+"""Faults of a logged run: the explanation stored in the log's summary, else the fault bits in its rows."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, NamedTuple
@@ -19,11 +19,11 @@ HEADINGS = {
     "drives": "What the drives reported then",
     "in the end": "In the end",
 }
-"""Prefix of a line of the story -> heading on the page."""
+"""Prefix of a line of the explanation -> heading on the page."""
 
 
 class Finding(BaseModel):
-    """One fault, at one leg or of the whole machine."""
+    """One fault of a run, at one leg or of the whole machine, with value, limit and text."""
 
     fault: str
     time_s: FiniteFloat | None = None
@@ -37,7 +37,7 @@ class Finding(BaseModel):
 
     @property
     def cells(self) -> tuple[str, str, str]:
-        """Leg, value and limit as text; empty if the log has none."""
+        """Leg, value and limit as table cells; empty if the log has none."""
         value, limit = (
             quantity(x, self.unit) if isinstance(x, float) else x or "" for x in (self.value, self.limit)
         )
@@ -46,7 +46,7 @@ class Finding(BaseModel):
 
 
 class _Story(BaseModel):
-    """Story of a run's faults, as in the summary of its log."""
+    """Explanation of a run's faults, as stored in the summary of its log."""
 
     findings: tuple[Finding, ...] = ()
     lines: tuple[str, ...] = ()
@@ -56,14 +56,14 @@ class Failure(NamedTuple):
     """Failure of a run, as far as its log describes it."""
 
     headline: str
-    """Empty: no known failure."""
+    """One line about the failure; empty: no known failure."""
     findings: Sequence[Finding]
     lines: dict[str, list[str]]
-    """Lines of the story by key of HEADINGS."""
+    """Lines of the explanation, by key of HEADINGS."""
 
 
 def failure_of(metadata: Mapping[str, Mapping[str, str]], rows: Rows, rate_Hz: float) -> Failure:
-    """Failure of a run with this metadata. An invalid story counts as missing."""
+    """Failure of a run with this log metadata. An invalid stored explanation counts as missing."""
     ending = metadata.get(SUMMARY, {})
     try:
         story = _Story.model_validate_json(ending.get("story", "{}"))
@@ -81,7 +81,7 @@ def failure_of(metadata: Mapping[str, Mapping[str, str]], rows: Rows, rate_Hz: f
 
 
 def _from_rows(rows: Rows, rate_Hz: float) -> list[Finding]:
-    """Faults latched in the rows, for a log without a story."""
+    """Faults that appear in the rows, for a log without a stored explanation."""
     found = []
     for fault in Fault:
         struck = np.flatnonzero(rows["faults"] & fault).tolist()
@@ -94,12 +94,12 @@ def _from_rows(rows: Rows, rate_Hz: float) -> list[Finding]:
 
 
 def mode_name(mode: int) -> str:
-    """Name of a Mode, or the number if it has none."""
+    """Name of a controller mode, or its number as text if it is unknown."""
     return Mode(mode).name if mode in {int(m) for m in Mode} else str(mode)
 
 
 def quantity(value: float, unit: str) -> str:
-    """Format a number with four digits and its unit; lengths below 0.1 m in mm."""
+    """Number with four digits and its unit as text; lengths below 0.1 m in mm."""
     if unit == COLUMNS["q"].unit and 0.0 < abs(value) < 0.1:
         value, unit = 1e3 * value, f"m{unit}"
     text = f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.4g}"

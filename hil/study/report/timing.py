@@ -1,4 +1,4 @@
-"""Timing of the loop: late wake-ups, computing time, and delay of the drives' feedback."""
+"""Timing of a logged loop: late wake-ups, computing time, and delay of the drives' feedback."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,7 +16,7 @@ PERCENTILES = (50.0, 99.0, 99.9, 100.0)
 
 
 class Traffic(NamedTuple):
-    """Traffic on the bus, tick by tick."""
+    """Traffic on the CAN buses of a run, tick by tick."""
 
     answered_ns: Array
     """(n,) from the scheduled time of the tick to its last received frame; NaN without a frame."""
@@ -25,7 +25,7 @@ class Traffic(NamedTuple):
 
 
 def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming]) -> Traffic:
-    """Traffic from the frames of a log.
+    """Bus traffic of a run from the frames in its log.
 
     timings : bit timing of each bus; empty if frames take no bus time or an unknown one.
     """
@@ -63,7 +63,7 @@ def spreads(rows: Rows, answered_ns: Array) -> list[tuple[str, Array]]:
 
 
 def counts(rows: Rows) -> list[tuple[str, int]]:
-    """Count late wake-ups and ticks missing from the log; other counts are figures of the run."""
+    """Numbers of late wake-ups and of ticks missing from the log; other counts are figures of the run."""
     late = (rows["warnings"] & Warn.LATE) != 0
     missing = np.maximum(np.diff(rows["tick"]) - 1 - rows["skipped"][1:], 0)
     return [

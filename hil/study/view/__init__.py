@@ -1,1 +1,1 @@
-"""A log in Rerun, Foxglove, Lichtblick or PlotJuggler: one table of plots, a writer for each viewer."""
+"""`hil view`: shows a log in Rerun, Foxglove, Lichtblick or PlotJuggler with prepared plots."""

@@ -1,4 +1,4 @@
-"""`hil view`: write the file of a viewer next to the log, and start the viewer."""
+"""`hil view`: writes a viewer's file next to the log, and starts the viewer."""
 
 import importlib.resources
 import shutil
@@ -28,7 +28,7 @@ OPENED = """<root>
 
 
 def _layout(name: str, log: Log) -> str:
-    """Shipped layout for the topic of a log; plots of missing columns stay empty."""
+    """Shipped viewer layout, for the topic of a log; plots of missing columns stay empty."""
     text = (importlib.resources.files("configs") / "viewers" / name).read_text("utf-8")
     return text.replace("/tick", log.topic)
 
@@ -39,7 +39,7 @@ def _opening(log: Log) -> str:
 
 
 class Viewer(NamedTuple):
-    """One viewer."""
+    """A log viewer: the file that it reads, how to write that file, and how to start the viewer."""
 
     suffix: str
     """Suffix of the file, after the name of the log."""
@@ -82,7 +82,7 @@ VIEWERS = {
 def view(
     path: Path, name: str, *, out: Path | None = None, force: bool = False, start: bool = True
 ) -> dict[str, Any]:
-    """Write the file of viewer `name`, start it and wait until it is closed; return the summary.
+    """Write the file of viewer `name`, start the viewer and wait until it is closed; return the summary.
 
     The file goes to `out`, which is overwritten only with `force`; by default next to the log, in place of an
     earlier one. A viewer that is not installed is no error: the summary has an instruction for it.

@@ -1,4 +1,4 @@
-"""A log as a Rerun recording: scalars and states by name, events, the moving robot, and the views.
+"""Writes a log as a Rerun recording: scalars and states by name, events, the moving robot, and views.
 
 The log is never in memory as a whole: columns are written some thousand rows at a time.
 """
@@ -45,7 +45,7 @@ _GREY, _BLUE, _ORANGE, _PALE = (115, 122, 133), (31, 107, 181), (237, 140, 36), 
 
 
 def write_rrd(log: Log, path: Path, names: Sequence[str]) -> int:
-    """Write columns or components (no names: all) as a Rerun recording; return the number of rows.
+    """Write columns or components of a log (no names: all) as a Rerun recording; return the number of rows.
 
     Every component is an entity, `/tick/tau/leg_3`. Enumerations and flags are states, written when they
     change. The robot moves under `/robot`; the file contains the blueprint of the views.
@@ -64,7 +64,7 @@ def write_rrd(log: Log, path: Path, names: Sequence[str]) -> int:
 
 
 class _Writer:
-    """Writer of one recording. Mutable state: the stream, the last states and pose, pending events."""
+    """Writes one Rerun recording. Mutable state: the stream, the last states and pose, pending events."""
 
     def __init__(self, rr: Any, log: Log, path: Path, parts: Sequence[Component]) -> None:
         self._rr, self._log = rr, log
@@ -100,7 +100,7 @@ class _Writer:
             self._stream.disconnect()
 
     def _fixed(self) -> None:
-        """Write the static data: names with units, meanings, and the fixed shapes."""
+        """Write the data that do not change: names with units, meanings, and rigid shapes."""
         rr, stream = self._rr, self._stream
         stream.send_recording_name(self._log.path.name)
         for curve in self._curves:
@@ -112,7 +112,7 @@ class _Writer:
             self._robot(*self._joints)
 
     def _robot(self, a: Array, b: Array) -> None:
-        """Write the rigid shapes; joints (n, 3) m in their own frames."""
+        """Write the robot's rigid shapes; a, b (n, 3) m: joints in base and platform frame."""
         rr, thin = self._rr, THICKNESS * float(np.linalg.norm(a, axis=1).max()) / 2.0
         self._stream.log(SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for name, joints, radius, colour in (
@@ -135,7 +135,7 @@ class _Writer:
             self._moved(rows, *self._joints)
 
     def _states(self, part: Component, rows: Rows) -> None:
-        """Write a state when it changes."""
+        """Write an enumeration or flags at the ticks in which the value changes."""
         values = part.of(rows).astype(np.int64)
         changed = np.flatnonzero(np.diff(values, prepend=self._last.get(part.label, ~values[0])))
         self._last[part.label] = int(values[-1])
@@ -177,7 +177,7 @@ class _Writer:
             self._send(f"{SCENE}/legs", there, columns.partition([len(a)] * len(there)))
 
     def _send(self, entity: str, rows: Rows, columns: Any) -> None:
-        """Write columns at the ticks and times of rows."""
+        """Write columns at the ticks and UTC times of rows."""
         times = (rows["t_ns"] + self._log.epoch_ns).astype("datetime64[ns]")
         tick = self._rr.TimeColumn(TICK, sequence=rows["tick"])
         index = [tick, self._rr.TimeColumn(TIME, timestamp=times)]
@@ -185,7 +185,7 @@ class _Writer:
 
 
 def _joints(log: Log) -> tuple[Array, Array] | None:
-    """Joints of base and platform (n, 3) m; None if the log has no pose or no valid configuration."""
+    """Joints (n, 3) m of base and platform; None if the log has no pose or no valid configuration."""
     if not {"p", "R"} <= {c.name for c in log.columns}:
         return None
     try:
@@ -196,13 +196,13 @@ def _joints(log: Log) -> tuple[Array, Array] | None:
 
 
 def outline(joints: Array) -> Array:
-    """Draw a closed line (n + 1, 3) m through joints (n, 3) m, ordered by angle about their centre."""
+    """Closed line (n + 1, 3) m through joints (n, 3) m, ordered by angle about their centre."""
     ring = joints[around(joints)]
     return np.concatenate((ring, ring[:1]))
 
 
 def blueprint(columns: Sequence[Column], topic: str, *, scene: bool) -> Any:
-    """Blueprint for a log with these columns; `scene` adds the 3D view. Needs rerun-sdk."""
+    """Rerun blueprint of the views for a log's columns; scene: with the 3D view. Needs rerun-sdk."""
     from rerun import blueprint as rrb  # noqa: PLC0415 - an extra
 
     named = [c.name for c in states(columns)]
@@ -239,12 +239,12 @@ def _plot(rrb: Any, plot: Plot, topic: str) -> Any:
 
 
 def path_of(topic: str, label: str) -> str:
-    """Entity of a component: `/tick/tau/leg_3`."""
+    """Rerun entity path of a log component, e.g. `/tick/tau/leg_3`."""
     return f"{topic}/{label.replace('.', '/')}"
 
 
 def curve_path(topic: str, curve: Curve) -> str:
-    """Entity of a curve; `/differences/q_d-q/leg_3` for a difference."""
+    """Rerun entity path of a curve; e.g. `/differences/q_d-q/leg_3` for a difference."""
     if curve.less is None:
         return path_of(topic, curve.label)
     element = curve.part.label.removeprefix(curve.part.column.name)

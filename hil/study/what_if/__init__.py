@@ -1,1 +1,1 @@
-"""`hil replay --what-if`: the response of another controller to recorded measurements."""
+"""`hil replay --what-if`: computes the outputs of another controller for recorded measurements."""

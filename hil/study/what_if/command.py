@@ -1,4 +1,4 @@
-"""`hil replay --what-if CONFIG LOG`: run another controller on recorded measurements."""
+"""`hil replay --what-if CONFIG LOG`: runs another controller on recorded measurements, in open loop."""
 
 import contextlib
 import tempfile
@@ -53,8 +53,8 @@ def what_if_log(
     """Run the controller of another configuration on the inputs of a log; return the summary.
 
     config : a file or the name of a shipped configuration, None: the log's own. words : changes to it, as
-    `controller.wn_rad_s=25`. out : log of the controller's outputs. Key `success` is True if the log could
-    be read to its end: differences are no failure.
+    `controller.wn_rad_s=25`. out : log of the controller's outputs. Key `success` is True if the log could be
+    read to its end: differences are no failure.
 
     Raises ConfigurationError: a configuration that cannot be used, or with which the inputs would have
     another meaning; LogError: as `hil.app.replay.open_replayable`, or `out` exists.
@@ -98,7 +98,7 @@ def what_if_log(
 
 
 def _record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Recording:
-    """Start the recorder of a what-if on a log, in lockstep with its reader. Raises LogError."""
+    """Start the recorder of the other controller's outputs, in step with the log. Raises LogError."""
     begins_ns = source.origin_ns
     recording = Recording.start(
         path,
@@ -144,7 +144,7 @@ def _answer(
 
 
 def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path | None) -> Configuration:
-    """Provide the files of a configuration: changes of the log's own one use the files in the log.
+    """Configuration with its files: the log's own configuration, if changed, reads the files in the log.
 
     folder : where these files are written, None: the configuration has a folder of its own.
 
@@ -193,7 +193,7 @@ def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
 
 
 def _remarks(log: Log, answer: Answer) -> list[str]:
-    """Remarks on the validity of the figures."""
+    """Remarks on how far the figures of the other controller are valid."""
     found = [missing] if (missing := lacking(log)) else []
     frames = answer.first_frames
     if frames is not None and any(each["tick"] > frames.tick for each in answer.answered_faults):
@@ -205,7 +205,7 @@ def _remarks(log: Log, answer: Answer) -> list[str]:
 
 
 def figures(answer: Answer, rate_Hz: float) -> dict[str, Any]:
-    """Results as plain values, of a loop at `rate_Hz`."""
+    """Differences between recorded and recomputed outputs as plain values; rate_Hz: rate of the loop."""
     first = [divergences.place(each, each.first, SIDES) for each in answer.columns.first]
     forces = answer.forces
     return {
@@ -246,7 +246,7 @@ def _frame(frame: Frame | None) -> str | None:
 
 
 def shown(result: dict[str, Any]) -> dict[str, Any]:
-    """Lines that the terminal shows below the tables."""
+    """Lines about the other controller's outputs that the terminal shows below the tables."""
     warnings = [
         f"{name} in {each['answered']} ticks, in {each['recorded']} ticks of the log"
         + (
@@ -289,7 +289,7 @@ def _faults(result: dict[str, Any]) -> list[str]:
 
 
 def tables(result: dict[str, Any]) -> None:
-    """Print the forces by leg and the columns that differ; nothing if there is no difference."""
+    """Print force differences by leg and the differing columns; nothing if there is no difference."""
     if not result["different_ticks"]:
         return
     forces = result["forces"]
@@ -305,7 +305,7 @@ def tables(result: dict[str, Any]) -> None:
 
 
 def story(result: dict[str, Any]) -> Iterator[str]:
-    """Yield the story of the faults that are latched at the end."""
+    """Yield text lines that explain the other controller's faults."""
     if result["what_if_story"] is not None:
         yield "faults of the what-if:"
         yield from (f"  {line}" for line in result["what_if_story"]["lines"])

@@ -1,4 +1,4 @@
-"""Configuration of a what-if: its changes, and the keys that must agree with the log.
+"""Configuration of `--what-if`: its changes, and the keys that must agree with the log.
 
 The controller may differ in all its decisions. Drives, sensors, their settings and the coding of their frames
 were fixed when the log was recorded.
@@ -23,9 +23,9 @@ UNNAMED = {"name", "description", "compare", "watch"}
 
 
 def read_changes(words: Sequence[str]) -> dict[str, Any]:
-    """Parse changes for `hil.app.configuration.changes` from words as `controller.wn_rad_s=25`.
+    """Parse changes of a configuration such as `controller.wn_rad_s=25` into nested data.
 
-    A value is YAML; an empty one removes a key or a section, so that its default holds.
+    A value is YAML; an empty value removes a key or a section, so that its default holds.
 
     Raises ConfigurationError: malformed words, or a key inside a key that has a plain value.
     """
@@ -46,7 +46,7 @@ def read_changes(words: Sequence[str]) -> dict[str, Any]:
 
 
 def changed(c: Configuration, words: Sequence[str], *, own: bool) -> Configuration:
-    """Apply changes to a configuration.
+    """Configuration with changes such as `controller.wn_rad_s=25` applied.
 
     own : it is the configuration in a log; no folder is searched for its files.
 
@@ -64,9 +64,9 @@ def changed(c: Configuration, words: Sequence[str], *, own: bool) -> Configurati
 
 
 def refuse_other_inputs(there: Configuration, here: Configuration, rate_Hz: float) -> None:
-    """Refuse a configuration with which the inputs of a log would have another meaning.
+    """Refuse a configuration under which the recorded inputs of a log would have another meaning.
 
-    there : configuration in the log; here : configuration of the what-if; rate_Hz : rate of the log's run.
+    there : configuration in the log; here : other configuration; rate_Hz : rate of the log's run.
 
     Raises ConfigurationError with all differences.
     """
@@ -89,7 +89,7 @@ def refuse_other_inputs(there: Configuration, here: Configuration, rate_Hz: floa
 
 
 def _inputs(c: Configuration) -> dict[str, tuple[Any, str]]:
-    """Keys that give recorded inputs their meaning: key -> value, and why it must agree with the log."""
+    """{key: (value, reason)}: keys that must agree with the log, since they code the recorded inputs."""
     laid, read = "the layout of its frames", "it determines drives and the coding of their frames"
     found: dict[str, tuple[Any, str]] = {
         "bus.layout": (c.bus.layout, laid),
@@ -108,7 +108,7 @@ def _inputs(c: Configuration) -> dict[str, tuple[Any, str]]:
 
 
 def changes(there: Configuration, here: Configuration) -> list[str]:
-    """Keys in which two configurations differ, each with both values."""
+    """Keys in which two configurations differ, each with both values, as texts."""
     one, other = (dict(_flat("", dict(c))) for c in (there, here))
     keys = [key for key in {**one, **other} if key.partition(".")[0] not in UNNAMED]
     return [

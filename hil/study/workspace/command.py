@@ -1,4 +1,4 @@
-"""`hil workspace CONFIG`: poses that the platform can reach within its limits, as figures and picture."""
+"""`hil workspace CONFIG`: reachable poses of the platform within its limits, as figures and a picture."""
 
 import time
 from collections.abc import Callable
@@ -30,10 +30,10 @@ def map_workspace(
     picture: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Map the workspace of a configuration, draw it, and return the summary.
+    """Map the reachable workspace of a configuration, draw it, and return the summary.
 
-    Raises ConfigurationError: home is outside the limits; WorkspaceError: `position` cannot be reached;
-    LogError: the picture cannot be created.
+    resolution: steps across; position (3,) m: where orientations are mapped. Raises ConfigurationError: home
+    is outside the limits; WorkspaceError: `position` cannot be reached; LogError: no picture can be made.
     """
     begun = time.perf_counter()
     path = picture_path(c.recording.folder, f"{c.name}-workspace", picture)
@@ -60,9 +60,9 @@ def build_surveyor(
     payload_at: tuple[float, float, float] = (0.0, 0.0, 0.0),
     leg_diameter_m: float | None = None,
 ) -> Surveyor:
-    """Surveyor with the limits of a configuration; the stroke ends at its soft ends.
+    """Surveyor that tests poses against a configuration's limits; the stroke ends at its soft ends.
 
-    Raises ConfigurationError: home is outside.
+    Raises ConfigurationError if home is outside the limits.
     """
     s = c.platform
     angles = (s.base_joint_angle_max_deg, s.platform_joint_angle_max_deg)
@@ -93,7 +93,7 @@ def build_surveyor(
 
 
 def figures(c: Configuration, w: Workspace) -> dict[str, Any]:
-    """Figures of a workspace as plain values."""
+    """Figures of a mapped workspace as plain values."""
     s, m, o, lim = w.surveyor, w.positions, w.orientations, w.surveyor.limits
     counts = np.bincount(m.kinds, minlength=len(KINDS))
     numbers, leasts = s.dexterity(m.nodes, s.R)
@@ -153,7 +153,7 @@ def figures(c: Configuration, w: Workspace) -> dict[str, Any]:
 
 
 def _home(s: Surveyor) -> dict[str, Any]:
-    """Figures of home as plain values."""
+    """Figures of the home pose as plain values."""
     home = s.survey(s.p, s.R)[0]
     (number,), (least,) = s.dexterity(s.p[None], s.R)
     return {

@@ -1,4 +1,4 @@
-"""Figures of many poses at once, to which the limits of the workspace apply."""
+"""Compiled computation of leg lengths, forces, joint angles and condition number at many poses at once."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ COLUMNS = 27
 
 @helper
 def determinant_sign(LU: Array, order: Ints) -> float:
-    """Sign of det A, +-1, from its factors P A = L U."""
+    """Sign of det A, +1 or -1, from its LU factors P A = L U; order (6,): row permutation P."""
     sign = 1.0
     for i in range(6):
         if LU[i, i] < 0.0:
@@ -45,11 +45,11 @@ def survey_kernel(
     RR: Array,
     out: Array,
 ) -> None:
-    """Fill out (n, 27), one row per pose: row k of P (n, 3) and, as (3, 3), of RR (n, 9).
+    """Compute the figures of n poses into out (n, 27): row k of P (n, 3) m and, as (3, 3), of RR (n, 9).
 
     ``c``: constants of ``hil.robot.dynamics``. ``payload`` (4,): kg and its place in the platform frame, m.
     ``base_axes`` (6, 3) base frame and ``platform_axes`` (6, 3) platform frame: unit, from base to platform.
-    ``watched`` (6, 6): > 0 if the distance of two legs counts. ``r``: as in ``condition_kernel``.
+    ``watched`` (6, 6): > 0 if the distance of two legs counts. ``r``: as in ``condition_kernel``. Leg forces:
     tau = J^-T (G - wrench), where the wrench is the payload's weight.
     """
     a = c[BASE : BASE + 18].reshape(6, 3)

@@ -1,6 +1,6 @@
-"""Limits of a pose: stroke, joint angles, static force, singularity, distance of the legs.
+"""Limits of a reachable pose: stroke, joint angles, static force, singularity, distance of the legs.
 
-All other files test poses with a `Surveyor`.
+All other files of the workspace test poses with a `Surveyor`.
 """
 
 from collections.abc import Callable
@@ -32,9 +32,9 @@ BISECTIONS = 30
 
 
 class WorkspaceError(ModelError):
-    """Home, or the requested pose, is outside the limits.
+    """Home, or the requested position, is outside the limits of the workspace.
 
-    problems : one for each violated limit.
+    problems : one text for each violated limit.
     """
 
     def __init__(self, where: str, problems: tuple[str, ...]) -> None:
@@ -44,7 +44,7 @@ class WorkspaceError(ModelError):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a reachable pose. None: not checked."""
+    """Limits that a reachable pose must keep. None: not checked."""
 
     length_min: float
     """m, each leg."""
@@ -67,11 +67,11 @@ class Limits:
 
 
 class Surveyor:
-    """Figures of poses, and their test against the limits. Every path begins at home, p (3,) m and R (3, 3).
+    """Computes figures of poses and tests poses against limits. Every path begins at home.
 
-    base_axes, platform_axes : (6, 3), joint axes from base to platform, in the frame of the base and of the
-    platform, of any length; default: each leg's own direction at home. payload : kg, on the platform at
-    ``payload_at`` (3,) m, platform frame.
+    home_p (3,) m, home_R (3, 3): home. base_axes, platform_axes : (6, 3), joint axes from base to platform,
+    in the frame of the base and of the platform, of any length; default: each leg's own direction at home.
+    payload : kg, on the platform at ``payload_at`` (3,) m, platform frame.
 
     Raises WorkspaceError: home is outside the limits; GeometryError, KinematicsError: an argument is not a
     direction, vector or rotation.
@@ -111,7 +111,7 @@ class Surveyor:
             raise WorkspaceError(f"home, p = {self.p.tolist()} m, is outside the limits", problems)
 
     def survey(self, P: Array, R: Array) -> Array:
-        """Figures of poses, (n, 27): columns of `hil.study.workspace.kernels`.
+        """Figures of n poses, (n, 27): columns of `hil.study.workspace.kernels`.
 
         P (n, 3) or (3,) m; R (n, 3, 3), or (3, 3) for all.
         """
@@ -149,7 +149,7 @@ class Surveyor:
         return m
 
     def inside(self, P: Array, R: Array) -> Flags:
-        """Mask (n,) of the poses within all limits and on home's side of det J = 0."""
+        """Mask (n,) of poses P (n, 3) m within all limits and on home's side of the singularity det J = 0."""
         found: Flags = np.ones(len(P), np.bool_)
         for k in range(0, len(P), CHUNK):
             part = R if R.ndim == 2 else R[k : k + CHUNK]
@@ -157,10 +157,10 @@ class Surveyor:
         return found
 
     def first_exit(self, paths: Paths, count: int, step: float, end: float) -> tuple[Array, Ints]:
-        """Last t inside of each path, at most ``end``, and the kind of limit that it meets there.
+        """Follow paths from t = 0; return the last t inside the limits, and the kind of limit met there.
 
-        Paths are followed in steps, and the step that leaves is bisected: a gap shorter than ``step`` may be
-        missed.
+        Paths end at t = ``end``. They are followed in steps, and the step that leaves is bisected: a gap
+        shorter than ``step`` may be missed.
         """
         low, high = np.zeros(count), np.full(count, np.nan)
         going = np.arange(count)
@@ -204,7 +204,7 @@ class Surveyor:
         return sigma[:, 0] / sigma[:, 5], sigma[:, 5]
 
     def largest_payload(self) -> float:
-        """Largest mass, kg, at the payload's place that the legs can hold at home, the payload included.
+        """Largest mass, kg, at the payload's place that the legs can hold at home, payload included.
 
         inf without a limit of force.
         """
@@ -244,12 +244,12 @@ class Surveyor:
 
 
 def levels(below: float, above: float, count: int) -> Array:
-    """(2 count + 1,) from -below to above, `count` even steps on either side of zero."""
+    """Values (2 count + 1,) from -below to above, with `count` even steps on either side of zero."""
     return np.concatenate([-below * np.arange(count, 0, -1), above * np.arange(count + 1)]) / count
 
 
 def _distinct(platform: Platform, diameter: float) -> Array:
-    """Matrix (6, 6): 1 if the joints of two legs are further apart than the diameter at both ends."""
+    """Matrix (6, 6): 1 if the joints of two legs are further apart than `diameter`, m, at both ends."""
     apart = np.ones((6, 6))
     for joints in (platform.base_joints, platform.platform_joints):
         apart *= np.linalg.norm(joints[:, None] - joints[None, :], axis=2) > diameter

@@ -1,4 +1,4 @@
-"""All maps of a workspace in one call."""
+"""Computes all maps of a workspace in one call."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from hil.study.workspace.shapes import Cylinder, Sphere, largest_cylinder, large
 
 
 class Workspace(NamedTuple):
-    """All maps of a workspace, and its limits."""
+    """All maps of a workspace, its largest sphere and cylinder, and the limits used."""
 
     surveyor: Surveyor
     positions: PositionMap
@@ -32,8 +32,8 @@ def explore(
 ) -> Workspace:
     """Map positions and orientations, cut three sections through home, fit the largest sphere and cylinder.
 
-    ``resolution`` as in ``map_positions``, ``position`` as in ``map_orientations``. Raises WorkspaceError:
-    the legs leave no room about home, or ``position`` is not reached.
+    ``resolution``: see ``map_positions``, ``position``: see ``map_orientations``. Raises WorkspaceError: the
+    legs leave no room about home, or ``position`` is not reached.
     """
     progress("positions")
     positions = map_positions(surveyor, resolution)

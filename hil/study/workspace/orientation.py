@@ -1,6 +1,6 @@
-"""Rotations at one position: the tilt in each direction, and the torsion about the platform's own axis.
+"""Reachable rotations at one position: tilt in each direction, and torsion about the platform's axis.
 
-Path: torsion without tilt, then tilt.
+A path turns to the torsion without tilt, then tilts.
 
 Tilt and torsion (Bonev and Ryu, 2001): R = R_home Rz(phi) Ry(theta) Rz(sigma - phi). The platform's z axis
 leans by the tilt theta towards the azimuth phi, with the torsion sigma about it; all zero at home.
@@ -41,13 +41,13 @@ class OrientationMap(NamedTuple):
 
     @property
     def level(self) -> Array:
-        """Largest tilt (n,) at each azimuth without torsion."""
+        """Largest tilt (n,), rad, at each azimuth without torsion."""
         tilt: Array = self.tilt[len(self.torsion) // 2]
         return tilt
 
     @property
     def guaranteed(self) -> Array:
-        """Tilt (m,) possible in all directions, at each torsion."""
+        """Tilt (m,), rad, that is reachable in all directions, at each torsion."""
         tilt: Array = self.tilt.min(axis=1)
         return tilt
 
@@ -64,7 +64,7 @@ def map_orientations(
     positions: PositionMap | None = None,
     azimuths: int = 72,
 ) -> OrientationMap:
-    """Map the rotations that can be reached at a position (3,) m, default home's.
+    """Map the rotations that the platform can reach at a position (3,) m, default home's.
 
     The position itself must be reachable at home's orientation: on a straight line from home or the nearest
     of the nodes of ``positions``. Raises WorkspaceError: the line meets a limit.

@@ -1,4 +1,4 @@
-"""Picture of the workspace: three sections with the limits on their edges, tilt and torsion."""
+"""Picture of a workspace: three sections with the limits on their edges, tilt and torsion."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ COLOURS = ("tab:red", "tab:purple", "tab:orange", "black", "tab:cyan")
 
 
 def draw(w: Workspace, path: Path, title: str) -> Path:
-    """Draw a workspace into a PNG file. Raises OSError: it cannot be written."""
+    """Draw a workspace into a PNG file. Raises OSError if the file cannot be written."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
     from matplotlib.lines import Line2D  # noqa: PLC0415
 

@@ -1,6 +1,6 @@
-"""Translations at home's orientation: a grid, flood-filled from home, its boundary, volume and sections.
+"""Reachable translations at home's orientation: a flood-filled grid, its boundary, volume and sections.
 
-Path: along the grid, from node to neighbour; a step counts if its middle and its end are within all limits.
+A path follows the grid, node by node; a step counts if its middle and end are within all limits.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ COARSE = 16
 
 
 class Flood(NamedTuple):
-    """A grid flood-filled from home. Arrays over the grid have one axis for each direction of the grid."""
+    """A grid of translations, flood-filled from home. Arrays over the grid have one axis per direction."""
 
     axes: tuple[Array, ...]
     """Coordinates of the nodes along each direction, m, relative to home."""
@@ -33,7 +33,7 @@ class Flood(NamedTuple):
 
 
 class PositionMap(NamedTuple):
-    """Constant-orientation workspace at home's orientation, base frame."""
+    """Reachable translations at home's orientation (constant-orientation workspace), base frame."""
 
     step: float
     """Step of the grid, m."""
@@ -55,13 +55,13 @@ class PositionMap(NamedTuple):
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of each kind of limit in the boundary, counted along the grid's lines."""
+        """Share, 0 to 1, of each kind of limit in the boundary, counted along the grid's lines."""
         counts = np.bincount(self.kinds, minlength=len(KINDS))
         return {kind: float(n) / max(len(self.kinds), 1) for kind, n in zip(KINDS, counts, strict=True)}
 
 
 class CrossSection(NamedTuple):
-    """A section of the grid through home."""
+    """A section of the reachable translations in a plane through home."""
 
     plane: tuple[str, str]
     u: Array
@@ -77,7 +77,7 @@ class CrossSection(NamedTuple):
 
 
 def map_positions(surveyor: Surveyor, resolution: int = 40) -> PositionMap:
-    """Map the translations that can be reached from home with home's orientation.
+    """Map the translations that the platform can reach from home with home's orientation.
 
     The grid has a node at home and ``resolution`` steps along the longest side of the workspace's box. The
     volume is the sum of the lengths inside of the grid's lines along z, whose ends are exact.
@@ -101,7 +101,7 @@ def map_positions(surveyor: Surveyor, resolution: int = 40) -> PositionMap:
 
 
 def stroke_box(surveyor: Surveyor) -> tuple[Array, Array]:
-    """Lower and upper corner (3,) m, relative to home, of a box outside which some leg is too long."""
+    """Corners (3,) m, relative to home, of a box outside which some leg is longer than its stroke."""
     R, lim = surveyor.R, surveyor.limits
     centres = surveyor.platform.base_joints - surveyor.platform.platform_joints @ R.T
     low = np.minimum((centres - lim.length_max).max(axis=0) - surveyor.p, 0.0)
@@ -112,7 +112,7 @@ def stroke_box(surveyor: Surveyor) -> tuple[Array, Array]:
 
 
 def flood_grid(surveyor: Surveyor, low: Array, high: Array, step: float) -> Flood:
-    """Flood-fill a grid of translations with a node at home; it covers a box and one step more.
+    """Flood-fill a grid of translations from a node at home; low, high (3,) m: corners of its box.
 
     A node is reached from a neighbour if the end and the middle of the step are inside the limits. A step
     over a singularity does not count, since det J changes its sign there.
@@ -152,12 +152,12 @@ def flood_grid(surveyor: Surveyor, low: Array, high: Array, step: float) -> Floo
 
 
 def _along(k: int, part: slice, rest: slice = slice(None)) -> tuple[slice, ...]:
-    """Index of `part` along direction k."""
+    """Index of `part` along direction k, and of `rest` along the others."""
     return tuple(part if m == k else rest for m in range(3))
 
 
 def cut(surveyor: Surveyor, positions: PositionMap, plane: tuple[str, str]) -> CrossSection:
-    """Section of the workspace in a plane through home."""
+    """Section of the reachable translations in a plane through home."""
     u, v = ("xyz".index(name) for name in plane)
     normal, flood = 3 - u - v, positions.flood
     home = int(np.argmin(np.abs(flood.axes[normal])))
@@ -182,7 +182,7 @@ def _measure(surveyor: Surveyor, flood: Flood, step: float) -> PositionMap:
     home = [int(np.argmin(np.abs(x))) for x in flood.axes]
 
     def volume(n: int, i: int = 0, j: int = 0) -> float:
-        """Volume from every n-th line, counted from home and an offset."""
+        """Volume, m^3, from every n-th line of the grid, counted from home and an offset (i, j)."""
         lines = flood.lengths[(home[0] + i) % n :: n, (home[1] + j) % n :: n]
         return float(lines.sum()) * (step * n) ** 2
 

@@ -1,6 +1,6 @@
-"""Largest sphere and cylinder of translations about home, free in every direction.
+"""Largest sphere and cylinder of translations about home, within which all positions are reachable.
 
-Paths: straight lines from home, or from the cylinder's axis.
+Reachable means on straight lines from home, or from the cylinder's axis.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ AZIMUTHS = 36
 
 
 class Sphere(NamedTuple):
-    """Translations by up to ``radius`` (m) in any direction from home."""
+    """Sphere about home of the translations that are reachable in every direction; radius in m."""
 
     radius: float
     direction: Array
@@ -29,7 +29,7 @@ class Sphere(NamedTuple):
 
 
 class Cylinder(NamedTuple):
-    """Vertical cylinder (base frame z) with its axis through home."""
+    """Vertical cylinder (base frame z) with its axis through home, all of whose positions are reachable."""
 
     radius: float
     """m."""
@@ -45,7 +45,7 @@ class Cylinder(NamedTuple):
 
 
 def largest_sphere(surveyor: Surveyor, step: float, reach: float) -> Sphere:
-    """Largest sphere about home's position, at home's orientation, whose rays stay inside.
+    """Largest sphere about home's position, at home's orientation, whose rays stay inside the limits.
 
     ``step``: m, along the rays; ``reach``: m, largest length of a ray.
     """
@@ -64,10 +64,10 @@ def largest_sphere(surveyor: Surveyor, step: float, reach: float) -> Sphere:
 
 
 def largest_cylinder(surveyor: Surveyor, step: float, reach: float) -> Cylinder:
-    """Vertical cylinder of largest volume about home's axis, at home's orientation.
+    """Vertical cylinder of largest volume about home's axis, at home's orientation, inside the limits.
 
     Its axis and its radii at 2 x LAYERS heights and AZIMUTHS directions stay inside. The result is checked
-    with eight times as many directions, and its radius reduced if needed.
+    with eight times as many directions, and its radius reduced if needed. step, reach: see `largest_sphere`.
     """
     up = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     (above, below), _ = surveyor.rays(np.zeros((2, 3)), up, step, reach)
@@ -86,7 +86,7 @@ def largest_cylinder(surveyor: Surveyor, step: float, reach: float) -> Cylinder:
 
 
 def fibonacci(count: int) -> Array:
-    """Spread unit vectors (count, 3) evenly over the sphere, poles included."""
+    """Unit vectors (count, 3) spread evenly over the sphere, poles included."""
     k = np.arange(count)
     z = 1.0 - 2.0 * k / (count - 1)
     rho = np.sqrt(np.maximum(1.0 - z * z, 0.0))
@@ -95,7 +95,7 @@ def fibonacci(count: int) -> Array:
 
 
 def _radii(surveyor: Surveyor, z: Array, azimuths: int, step: float, reach: float) -> Array:
-    """Free radius (n,) m at each height."""
+    """Free radius (n,) m at each height z (n,) m, relative to home."""
     phi = 2.0 * np.pi * np.arange(azimuths) / azimuths
     rim = np.stack([np.cos(phi), np.sin(phi), np.zeros(azimuths)], axis=1)
     start = np.zeros((len(z) * azimuths, 3))

@@ -198,7 +198,7 @@ def test_limit_far_above_its_need_causes_a_warning_with_a_proposal(virtual, name
     tight, far, needed = BORDERS[name]
     assert loose(virtual, **{name: tight}) == []
     (line,) = loose(virtual, **{name: far})
-    pattern = rf"limits\.{name} (\S+) is (\S+) times the (\S+) \S.* needed .*; it would show .*, give (\S+)$"
+    pattern = rf"limits\.{name} (\S+) is (\S+) times the (\S+) \S.* needed .*; it would detect .*, set (\S+)$"
     found = re.match(pattern, line)
     assert found is not None, line
     given, times, said, proposed = map(float, found.groups())

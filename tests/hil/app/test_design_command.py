@@ -72,8 +72,8 @@ def test_identified_axis_replaces_the_axis_of_the_design(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"rate_Hz": 500}, "rate_Hz: 500.0, allowed: that of the design, 1000.0"),
-        ({"axes": "pose"}, "axes: pose, allowed: that of the design, joint"),
+        ({"rate_Hz": 500}, "rate_Hz: 500.0, allowed: as in the design, 1000.0"),
+        ({"axes": "pose"}, "axes: pose, allowed: as in the design, joint"),
         ({"nominal": {"gain": [1, 1, 1, 1, 1, 2]}}, "within 20 % of their mean"),
         ({"nominal": {"gain": [1, 1, 0.6, 1, 1, 1]}}, "within 20 % of their mean"),
     ],

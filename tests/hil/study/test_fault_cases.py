@@ -133,4 +133,4 @@ def test_drives_that_a_forged_command_enables_again_fail(name, stands):
     found = run_case(Job(case, DESKTOP))
     assert found["faults"] == ["SECOND_CONTROLLER"]
     assert found["success"] is stands, found["verdict"]
-    assert ("obey any sender of commands" in found["verdict"]) is not stands
+    assert ("obey commands of any sender" in found["verdict"]) is not stands

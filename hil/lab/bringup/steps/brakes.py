@@ -30,9 +30,9 @@ RATE_WITHIN = 0.6, 1.6
 RATE_STEPS, RATE_STEP_M, RATE_STEP_S = 3, 2e-4, 0.2
 """Steps of a reading needed to judge its rate; least size and longest duration of each."""
 HIGH = 1.7
-"""Friction above this multiple of the median of all legs is high"""
+"""Friction of a leg is reported as high above this multiple of the median leg,"""
 HIGH_SHARE = 0.003
-"""if it is also this share of the rated force above the median."""
+"""and if it exceeds the median by this share of the rated force."""
 LATE_TICKS = 3
 """Accepted motion after the closing time of the brake: the last command is still on its way."""
 MOVES_S = 0.02
@@ -45,7 +45,7 @@ FEWEST = 3
 
 
 def find(c: Context) -> None:
-    """Have each leg pushed with all brakes shut, then each with its drive's brake open."""
+    """Have the operator push each leg with all brakes shut, then with its drive's brake open."""
     for leg in c.missing("held"):
         c.take_down()
         c.keep("held", leg, holds(c, leg))
@@ -59,7 +59,7 @@ def find(c: Context) -> None:
 
 
 def opened_by(c: Context, drive: int, firm: list[int]) -> dict[str, Any]:
-    """Have legs pushed with a drive's brake open. Fact: legs that give way, force, and the rate's share."""
+    """Have legs pushed while a drive's brake is open: legs that yield, push force N, ratio of the rate."""
     counts = {each: leg for each, (leg, _) in c.reads().items()}
     with c.opened(drive):
         for leg in dict.fromkeys([drive, counts.get(drive, drive), *firm]):
@@ -74,7 +74,7 @@ def opened_by(c: Context, drive: int, firm: list[int]) -> dict[str, Any]:
 
 
 class Steps:
-    """Steps in the length read by a drive, and the integral of its rate. Mutable state: all attributes."""
+    """Compares the rate that a drive reports with the change of its length. Mutable state: all attributes."""
 
     def __init__(self, c: Context, drive: int, keep: Callable[[], object]) -> None:
         self._c, self._drive, self._keep = c, drive, keep
@@ -106,7 +106,7 @@ class Steps:
 
 
 def gives_way(c: Context, leg: int, keep: Callable[[], object]) -> tuple[bool, float]:
-    """Have a leg pushed with a brake open; return True if it moved, and the breakaway force, N."""
+    """Have the operator push a leg with a brake open; return (it moved, breakaway force N)."""
     before = c.lengths()
     c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: open"), keep)
     for _ in range(c.drives.ticks(PUSH_S)):
@@ -121,7 +121,7 @@ def gives_way(c: Context, leg: int, keep: Callable[[], object]) -> tuple[bool, f
 
 
 def holds(c: Context, leg: int) -> dict[str, Any]:
-    """Have a leg pushed on its shut brake by FORCE_SHARE of the rated force or more, and the force read."""
+    """Have a leg pushed on its shut brake, with FORCE_SHARE of the rated force or more: moved, force N."""
     m, before = c.machine, c.lengths()
     c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: shut"))
     c.rest(PUSH_S)
@@ -136,7 +136,7 @@ def holds(c: Context, leg: int) -> dict[str, Any]:
 
 
 def shuts(c: Context, drive: int, leg: int) -> dict[str, Any]:
-    """Have a leg pushed while its brake opens and closes. Fact: whether it opens in time, and its delay, s.
+    """Have a leg pushed while its brake opens and closes; result: opened in time, lateness of closing, s.
 
     Raises StoppedError if the leg does not come to rest.
     """
@@ -164,7 +164,7 @@ def shuts(c: Context, drive: int, leg: int) -> dict[str, Any]:
 
 
 def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[int]:
-    """Have all legs but one pushed with a drive's brake open; return those of `others` that move."""
+    """Have all legs but `leg` pushed while a drive's brake is open; return those of `others` that move."""
     before, moved = c.lengths(), set[int]()
 
     def keep() -> None:
@@ -180,7 +180,7 @@ def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[in
 
 
 def judge(c: Context) -> list[Finding]:
-    """Findings: brakes that do not hold, open or close, are late or another drive's; exchanged drives."""
+    """Findings about brakes that do not hold, do not open, act late or are crossed, and exchanged drives."""
     found: list[Finding] = []
 
     def name(finding: str, legs: Iterable[int], text: str, remedy: str) -> None:
@@ -191,12 +191,12 @@ def judge(c: Context) -> list[Finding]:
     loose = [leg for leg, fact in c.table("held").items() if fact["moved"]]
     inverted = {counts.get(d, d): d for d in range(LEGS) if not opens[d] and counts.get(d, d) in loose}
     for leg, drive in inverted.items():
-        text = f"leg {leg}, behind drive {drive}, yields to a push on a shut brake and holds on an open one"
+        text = f"leg {leg} of drive {drive} moves when pushed with its brake shut, and holds with it open"
         remedy = "Invert the output or the brake's relay. Without power this leg falls; do not load it."
         name("brake_inverted", {leg, drive}, text, remedy)
     for leg in set(loose) - inverted.keys():
-        remedy = "Look at brake, its supply and its air gap; do not load this leg."
-        name("brake_stuck_open", [leg], "it yields to a push by hand with its brake commanded shut", remedy)
+        remedy = "Check the brake, its supply and its air gap; do not load this leg."
+        name("brake_stuck_open", [leg], "it moves when pushed, with its brake commanded shut", remedy)
     crossed = {d: j for d, j in counts.items() if j != d and has_crossed_encoder(d, counts, opens)}
     exchanged = {d: j for d, j in counts.items() if j != d and d not in crossed}
     if exchanged:
@@ -210,12 +210,12 @@ def judge(c: Context) -> list[Finding]:
             remedy = "Fix the other findings first, then test again: the node numbers are not clear yet."
         name("ids", exchanged, text, remedy)
     if crossed:
-        text = "; ".join(f"drive {d} counts leg {j}" for d, j in crossed.items())
+        text = "; ".join(f"the encoder of drive {d} reads leg {j}" for d, j in crossed.items())
         name("encoder_crossed", crossed, text, "Exchange these drives' encoder cables.")
     for drive, legs in opens.items():
         if not legs and drive not in inverted.values():
-            remedy = "Look at the brake, its cable, its supply. More friction than the push looks the same."
-            name("brake_stuck_shut", [drive], "its brake does not open: no leg gives way", remedy)
+            remedy = "Check brake, cable and supply. Friction above the push has the same effect."
+            name("brake_stuck_shut", [drive], "its brake does not open: no leg moves when pushed", remedy)
         elif len(legs) > 1:
             text = f"drive {drive} opens the brakes of legs {', '.join(map(str, sorted(legs)))} at once"
             remedy = "Give each brake an output of its own; do not load these legs."
@@ -241,16 +241,16 @@ def judge(c: Context) -> list[Finding]:
         share = fact["rate_share"]
         if share is not None and not RATE_WITHIN[0] <= share <= RATE_WITHIN[1]:
             finding = "rate_sign" if share < -RATE_WITHIN[0] else "rate_scale"
-            text = f"while it moves, its rate is {share:.3g} times the change of its reading"
-            name(finding, [drive], text, "Look at sign and unit of the speed in the drive.")
+            text = f"while its leg moves, the rate that it reports is {share:.3g} times the change of length"
+            name(finding, [drive], text, "Check sign and unit of the speed in the drive.")
     return found + friction(c)
 
 
 def has_crossed_encoder(drive: int, counts: Mapping[int, int], opens: Mapping[int, list[int]]) -> bool:
-    """True if a drive that counts another leg has a crossed encoder rather than an exchanged node number.
+    """True if a drive that reads another leg's length has a crossed encoder, not an exchanged node number.
 
-    A drive with a crossed encoder opens its own brake. If its output opens neither its own leg nor the
-    counted one, the cycle of drives that count each other's legs decides: one opening its own is enough.
+    A drive with a crossed encoder opens its own brake. If its output opens neither its own leg nor the one it
+    reads, the cycle of drives that read each other's legs decides: one that opens its own leg is enough.
     """
     if drive in opens[drive] or counts[drive] in opens[drive]:
         return drive in opens[drive]
@@ -261,21 +261,21 @@ def has_crossed_encoder(drive: int, counts: Mapping[int, int], opens: Mapping[in
 
 
 def friction(c: Context) -> list[Finding]:
-    """Findings: legs that need more force than the others to give way to a hand."""
+    """Findings: legs that need a much larger hand force to move than the median leg."""
     facts = [fact for fact in c.table("opens").values() if fact["legs"]]
     if len(facts) < FEWEST:
         return []
     usual = median(fact["hand_N"] for fact in facts)
-    remedy = "Look at guide, nut, seals, and a brake that drags."
+    remedy = "Check guide, nut and seals, and whether the brake drags."
     return [
-        Finding("friction", (legs[0],), f"it gives way at {N:.4g} N, the median is {usual:.4g} N", remedy)
+        Finding("friction", (legs[0],), f"it moves at {N:.4g} N by hand, the median is {usual:.4g} N", remedy)
         for legs, N in ((fact["legs"], fact["hand_N"]) for fact in facts)
         if max(HIGH * usual, usual + HIGH_SHARE * c.machine.rated_N) < N
     ]
 
 
 def gap(c: Context) -> Finding | None:
-    """Drives with an unproven rate: their legs gave way too slowly or too little."""
+    """Finding that lists drives whose rate is unproven because their legs moved too slowly or too little."""
     unseen = [drive for drive, fact in c.table("opens").items() if fact["rate_share"] is None]
     if not unseen:
         return None

@@ -19,7 +19,7 @@ SIGMAS = 4.0
 
 
 def find(c: Context) -> None:
-    """Have each leg moved to its ends by hand and measured, with all drives off."""
+    """Have the operator move each leg to both ends and the middle and measure it by tape, all drives off."""
     drives = drive_of(c)
     for leg in c.missing("encoder"):
         c.take_down()
@@ -46,12 +46,12 @@ def find(c: Context) -> None:
 
 
 def tolerance(spread: float) -> float:
-    """Error of a scale from two lengths by tape, at least 0.3 %."""
+    """Tolerance of an encoder scale, a ratio, from two tape lengths `spread` m apart; at least 0.003."""
     return max(SIGMAS * sqrt(2.0) * TAPE_M / spread, 3e-3)
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Findings: strokes that are not reached, and encoders that disagree with the tape."""
+    """Findings: strokes shorter than configured, and encoders that disagree with the tape."""
     m, ends = c.machine, {}
     for leg, fact in c.table("encoder").items():
         low, high = fact["tape_m"]
@@ -59,7 +59,7 @@ def judge(c: Context) -> Iterator[Finding]:
             ends[leg] = low, high
         if fact["drive"] is not None and high - low >= 0.05 * m.stroke:
             yield from _encoder(fact["drive"], fact, high - low)
-    configured = f"configured are {m.length_min:g} and {m.length_max:g}"
+    configured = f"configured: {m.length_min:g} and {m.length_max:g} m"
     if len(ends) == LEGS:
         lows, highs = zip(*ends.values(), strict=True)
         text = f"all end at {max(lows):.4f} and {min(highs):.4f} m, {configured}"
@@ -76,18 +76,18 @@ def _encoder(drive: int, fact: dict[str, Any], spread: float) -> list[Finding]:
     scale, offset, bent = fact["scale"], fact["offset_m"], fact["bent_m"]
     found, within = [], tolerance(spread)
     if abs(scale) < 0.05:
-        text = "its encoder stands still while its leg moves"
-        return [Finding("encoder_frozen", (drive,), text, "Look at encoder, coupling and cable.")]
+        text = "its reading does not change while its leg moves"
+        return [Finding("encoder_frozen", (drive,), text, "Check encoder, coupling and cable.")]
     if abs(bent) > max(1.0, abs(scale)) * max(ZERO_M, SIGMAS * sqrt(1.5) * TAPE_M):
         text = f"at mid-stroke it reads {1e3 * bent:+.2f} mm off the straight line between its ends"
-        remedy = "Look at coupling, belt, play and signal: it jumps, stops half way, or slips."
+        remedy = "Check coupling, belt, backlash and signal: the reading jumps, stops half way, or slips."
         return [Finding("encoder_jumps", (drive,), text, remedy)]
     if scale < 0.0:
-        text = f"its reading falls as the leg grows: {scale:.3f} m a m by tape"
-        found.append(Finding("encoder_sign", (drive,), text, "Turn the sign of the encoder in the drive."))
+        text = f"its reading falls as the leg extends: {scale:.3f} m per m by tape"
+        found.append(Finding("encoder_sign", (drive,), text, "Invert the sign of the encoder in the drive."))
     if abs(abs(scale) - 1.0) > within:
-        text = f"it reads {abs(scale):.4f} m a m by tape, +- {within:.4f}"
-        remedy = f"Multiply counts per m in the drive by {abs(scale):.4f}; look at lead and gear, too."
+        text = f"it reads {abs(scale):.4f} m per m by tape, +- {within:.4f}"
+        remedy = f"Multiply counts per m in the drive by {abs(scale):.4f}; check lead and gear, too."
         found.append(Finding("encoder_scale", (drive,), text, remedy))
     if not found and abs(offset) > max(ZERO_M, SIGMAS * TAPE_M):
         text = f"it reads {1e3 * offset:+.2f} mm off the tape"

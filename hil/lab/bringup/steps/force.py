@@ -37,7 +37,7 @@ LEAST_SHARE = 0.01
 
 
 def find(c: Context) -> None:
-    """Drive each leg a tenth of a millimetre both ways."""
+    """Drive each leg with one brake open by a tenth of a millimetre both ways, and store forces and delay."""
     if any(fact["moved"] for fact in c.table("held").values()):
         return
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
@@ -49,9 +49,9 @@ def find(c: Context) -> None:
 
 
 def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
-    """Increase a drive's force until a leg moves; return the force, the leg, and its direction.
+    """Increase a drive's force until a leg moves; return the force, N, the leg, and its direction.
 
-    The brake opens for one ramp only: a leg that a code for zero moves is at rest again before the next.
+    The brake opens for one ramp only: a leg that the code for zero moves rests before the next ramp.
     """
     found: dict[str, Any] = {"force_N": None, "leg": None, "way": 0}
     ticks, watched = c.drives.ticks(RAMP_S), c.drives.ticks(WATCH_S)
@@ -75,7 +75,7 @@ def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
 
 
 def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
-    """Delay from a step of a drive's force to the response in its reading, s; None: its leg does not move.
+    """Delay, s, from a step of a drive's force to its reading; None if the leg does not move.
 
     From rest, under a constant force, x = a (t - T)^2 / 2. The line t over sqrt(x) begins at the delay T, the
     sum of the force's lag and the reading's age, whatever mass and friction are. The force doubles until the
@@ -100,7 +100,7 @@ def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
 
 
 def _answer(c: Context, drive: int, force: float, leg: int) -> tuple[Array, Array]:
-    """Times, s, and travel less drift, m, of a leg after a step of force, until it has moved by MOVED_M."""
+    """Times, s, and travel less drift, m, of a leg after a step of force, N, until it moved by MOVED_M."""
     t, x = list[float](), list[float]()
     watched = c.drives.ticks(WATCH_S)
     with c.opened(drive):
@@ -125,7 +125,7 @@ def _watch(c: Context, drive: int, origin: Array, ticks: int) -> None:
 
 
 def step_of(c: Context, drive: int) -> float:
-    """Step of a drive's force command, N at the leg."""
+    """Resolution of a drive's force command, N at the leg."""
     return float(c.drives.protocol.traits.resolution.force[drive])
 
 
@@ -135,8 +135,8 @@ def guard(c: Context, drive: int, origin: Array) -> None:
     leg = max(away, key=lambda k: abs(away[k]))
     if abs(away[leg]) > TRAVEL_M:
         c.drives.off()
-        text = f"leg {leg} went {1e3 * away[leg]:+.2f} mm under drive {drive}, allowed: {1e3 * TRAVEL_M:g} mm"
-        remedy, own = "Look at its force scale, brake and load.", c.reads()[drive][0]
+        text = f"leg {leg} moved {1e3 * away[leg]:+.2f} mm by drive {drive}, allowed: {1e3 * TRAVEL_M:g} mm"
+        remedy, own = "Check its force scale, brake and load.", c.reads()[drive][0]
         if leg != own:
             remedy = (
                 f"Check the encoder of leg {leg}, whose brake was shut, and which leg drive {drive} moves."
@@ -145,26 +145,26 @@ def guard(c: Context, drive: int, origin: Array) -> None:
 
 
 def breakaway(fact: dict[str, Any]) -> float | None:
-    """Commanded force at which a leg begins to move, mean of both directions; None if it did not move."""
+    """Commanded force, N, at which a leg begins to move, mean of both directions; None if it stayed."""
     forces = fact["plus"]["force_N"], fact["minus"]["force_N"]
     return None if None in forces else 0.5 * (forces[0] + forces[1])
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Findings: forces of the wrong sign, and legs that their drives do not move."""
+    """Findings: forces of the wrong sign, late responses, and legs that their drives do not move."""
     still = []
     limit = f"{100 * FORCE_SHARE:g} % of the rated force, {c.machine.force_N:g} N"
     for drive, fact in c.table("force").items():
         plus, minus = fact["plus"]["way"], fact["minus"]["way"]
         if plus < 0 < minus:
-            text = "a force that should extend it shortens it"
-            remedy = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
+            text = "a force that should extend the leg shortens it"
+            remedy = "Exchange two phases of the motor, or invert the sign of the torque in the drive."
             yield Finding("force_sign", (drive,), text, remedy)
         elif plus < 0 or minus > 0:
-            text = f"it moves {'shorter' if plus < 0 else 'longer'} under either sign of force"
+            text = f"its leg {'shortens' if plus < 0 else 'extends'} under either sign of force"
             remedy = (
-                "Lay the leg level on its trestle, look for play, and try again; one code of torque, "
-                f"{step_of(c, drive):.3g} N, may be more than its friction."
+                "Lay the leg level on its trestle, check backlash, and try again; one step of torque, "
+                f"{step_of(c, drive):.3g} N, may exceed its friction."
             )
             yield Finding("one_way", (drive,), text, remedy)
         elif plus and minus:
@@ -172,26 +172,24 @@ def judge(c: Context) -> Iterator[Finding]:
             if late_s is None or late_s > allowed_s:
                 after = "does not follow" if late_s is None else f"follows {1e3 * late_s:.0f} ms after"
                 text = f"its reading {after} a step of its force, allowed: {1e3 * allowed_s:.0f} ms: "
-                text += "encoder_late, a late reading, or force_lags, a late force"
-                remedy = "Check the drive's filters of encoder and torque, gateways, and play."
+                text += "either the reading is late (encoder_late) or the force (force_lags)"
+                remedy = "Check the drive's filters of encoder and torque, gateways, and backlash."
                 yield Finding("late_or_lags", (drive,), text, remedy)
         else:
-            does = "extends it alone" if plus else "shortens it alone" if minus else "does not move it"
+            does = "can only extend it" if plus else "can only shorten it" if minus else "does not move it"
             opens, text = c.known("opens", drive), f"its drive {does}, with {limit}"
             if opens["hand_N"] > MOVES * c.machine.force_N:
-                text += f"; a hand needs {opens['hand_N']:.4g} N"
-                remedy = "Look at guide, nut, seals, a brake that drags."
+                text += f"; by hand it moves at {opens['hand_N']:.4g} N"
+                remedy = "Check guide, nut and seals, and whether the brake drags."
                 yield Finding("friction", (opens["legs"][0],), text, remedy)
             elif plus or minus:
-                remedy = (
-                    "Lay the leg level on its trestle; look at motor phases, supply, limits and end stops."
-                )
+                remedy = "Lay the leg level on its trestle; check motor phases, supply, limits and end stops."
                 yield Finding("force_one_way", (drive,), text, remedy)
             else:
                 still.append(drive)
     if still:
         name = "no_force" if len(still) == 1 else "motor_crossed"
-        remedy = "Check whether motor cables are exchanged; look at the scale of the drive's torque."
+        remedy = "Check whether motor cables are exchanged; check the scale of the drive's torque."
         yield Finding(name, tuple(still), f"it moves by hand, but not by its drive with {limit}", remedy)
 
 

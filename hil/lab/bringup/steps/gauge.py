@@ -1,4 +1,4 @@
-"""Scale of each force, by a force gauge; and findings that combine it with lengths and friction."""
+"""Bring-up step that measures each drive's force scale by a force gauge, and compares it with lengths."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -30,7 +30,7 @@ more than this.
 
 
 def find(c: Context) -> None:
-    """Have each leg that moves clamped to the gauge, and the gauge read at several forces."""
+    """Have each leg that moves clamped to the gauge; store pairs of commanded and read force, N."""
     for drive, (leg, _) in sorted(c.reads().items()):
         fact = c.known("force", drive)
         if fact is None or breakaway(fact) is None or c.known("gauge", drive) is not None:
@@ -61,7 +61,7 @@ def find(c: Context) -> None:
 
 
 def _away(c: Context, drive: int, force: float, runaway: Finding) -> Finding:
-    """Finding about a reading that runs away although the end of the leg is clamped.
+    """Finding for a length reading that runs away although the end of the leg is clamped.
 
     The force scale is wrong if the drive moves its leg with a far smaller command than a hand's force.
     """
@@ -83,7 +83,7 @@ class Gain(NamedTuple):
 
 
 def gains(c: Context) -> dict[int, Gain]:
-    """Gain of each drive that had enough levels above its friction."""
+    """Force scale of each drive that had at least two force levels above its friction."""
     found = {}
     for drive, fact in c.table("gauge").items():
         least = BEYOND * (breakaway(c.known("force", drive)) or 0.0)
@@ -97,21 +97,21 @@ def gains(c: Context) -> dict[int, Gain]:
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Findings: force scales, saturation, and a wrong lead."""
+    """Findings: wrong force scales, saturated forces, and a wrong screw lead or gear ratio."""
     gain, read = gains(c), c.reads()
     set_scale = "Set torque constant, current scale or rated force of the drive"
     stiff = {leg for finding in friction(c) for leg in finding.legs}
     for drive in c.table("gauge").keys() - gain.keys():
         if c.known("opens", drive)["legs"][0] not in stiff:
             text = "its forces are too close to its friction, or to each other, to determine their scale"
-            remedy = f"{set_scale}; look at friction, and at the steps of its torque."
+            remedy = f"{set_scale}; check friction, and the resolution of its torque."
             yield Finding("force_scale", (drive,), text, remedy)
     for drive, (g, error) in gain.items():
         leg, scale = read.get(drive, (drive, 0.0))
         most = _limited(c, drive)
         if most is not None:
-            text = f"its force grows no further than {most:.4g} N of {c.machine.force_N:.4g} N commanded"
-            remedy = "Look at current limit, supply and rated torque of the drive."
+            text = f"its force does not exceed {most:.4g} N, with {c.machine.force_N:.4g} N commanded"
+            remedy = "Check current limit, supply and rated torque of the drive."
             yield Finding("force_saturates", (drive,), text, remedy)
             continue
         if scale <= 0.0:
@@ -124,7 +124,7 @@ def judge(c: Context) -> Iterator[Finding]:
         elif right:
             continue
         elif same:
-            text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
+            text = f"both its lengths and its forces are {abs(scale):.4f} times the true ones"
             remedy = f"Divide lead, or multiply gear ratio, by {abs(scale):.4f}, in drive or configuration."
             yield Finding("wrong_lead", (drive,), text, remedy)
         else:
@@ -144,7 +144,7 @@ def _limited(c: Context, drive: int) -> float | None:
 
 
 def _fits(gain: float, scale: float | None, error: float, losses: float) -> tuple[bool, bool]:
-    """Pair: the gain is right; it equals the scale of the lengths. scale None: the lengths are right."""
+    """(gain is 1, gain equals the encoder's scale) within errors; scale None: encoder scale is right."""
     for slack in (error, error + losses):
         right = abs(gain - 1.0) <= WITHIN + slack
         same = scale is not None and abs(gain - scale) < (SAME + slack) * scale
@@ -154,19 +154,19 @@ def _fits(gain: float, scale: float | None, error: float, losses: float) -> tupl
 
 
 def as_lead(scale: float) -> bool:
-    """True if a scale of lengths, > 0, may be caused by a wrong lead or gear."""
+    """True if an encoder scale, > 0, is wrong enough that a wrong lead or gear may be the cause."""
     return bool(abs(scale - 1.0) > SAME)
 
 
 def scale_or_lead(drive: int, scale: float, gain: Gain | None) -> Finding:
-    """Finding about a wrong scale of lengths with two possible causes; gain: None if not measured."""
+    """Finding for an encoder scale with two possible causes; gain: force scale, None if not measured."""
     forces = "which were not measured" if gain is None else f"{gain.value:.2f} +- {gain.error:.2f} times"
     text = (
-        f"its lengths are {scale:.4f} times what they should be; its forces, {forces}, fit encoder_scale, "
-        "and wrong_lead, another lead or gear, too"
+        f"its lengths are {scale:.4f} times the true ones; its forces, {forces}, fit encoder_scale "
+        "as well as wrong_lead (another lead or gear)"
     )
     remedy = (
-        "Turn its shaft by one turn, by hand, and measure by tape how far the leg goes: if that is the "
+        "Turn its shaft by one turn, by hand, and measure by tape how far the leg moves: if that is as "
         f"configured, multiply counts per turn in the drive by {scale:.4f}; else correct lead or gear."
     )
     return Finding("scale_or_lead", (drive,), text, remedy)

@@ -1,4 +1,4 @@
-"""Assignment of drives to legs: each leg is moved by hand while all readings are watched."""
+"""Bring-up step that assigns drives to legs: each leg is moved by hand while all encoders are read."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ RESPONDS = 0.1
 
 
 def find(c: Context) -> None:
-    """Have each leg moved by hand with all drives off."""
+    """Have the operator move each leg by hand, all drives off; store which encoders respond."""
     by_m = MOVE_SHARE * c.machine.stroke
     for leg in c.missing("ids"):
         c.take_down()
@@ -29,15 +29,15 @@ def find(c: Context) -> None:
 
 
 def drive_of(c: Context) -> dict[int, int]:
-    """Drive whose encoder counts each leg; the leg's own drive if it is one of several."""
+    """{leg: drive whose encoder reads it}; the leg's own drive if several do."""
     drives = {leg: fact["drives"] for leg, fact in c.table("ids").items()}
     return {leg: leg if leg in counted else counted[0] for leg, counted in drives.items() if counted}
 
 
 def judge(c: Context) -> list[Finding]:
-    """Findings: encoders that stand still or count a second leg; exchanged ones show at the brakes."""
+    """Findings: encoders that stand still or read a second leg; exchanged drives show at the brakes."""
     drives = {leg: fact["drives"] for leg, fact in c.table("ids").items()}
-    text, remedy = "the encoder of its drive counts leg {}, like that leg's own", "Fix the encoder's cable."
+    text, remedy = "the encoder of its drive also reads leg {}", "Check the encoder's cable."
     found = [
         Finding("encoder_counts_another", (drive, leg), text.format(leg), remedy)
         for leg, counted in drives.items()
@@ -45,23 +45,23 @@ def judge(c: Context) -> list[Finding]:
         if len(counted) > 1 and drive != leg
     ]
     found += [_unmoved(c, k) for k in range(LEGS) if not any(k in counted for counted in drives.values())]
-    named, remedy = {f.legs[0] for f in found}, "Look at encoder, coupling and cable."
+    named, remedy = {f.legs[0] for f in found}, "Check encoder, coupling and cable."
     return found + [
-        Finding("encoder_unseen", (leg,), "no encoder counts it", remedy)
+        Finding("encoder_unseen", (leg,), "no encoder reads its length", remedy)
         for leg, counted in drives.items()
         if not counted and leg not in named
     ]
 
 
 def _unmoved(c: Context, drive: int) -> Finding:
-    """Finding about an encoder that counts no leg: it stands still, or counts far too little."""
+    """Finding for an encoder that reads no leg: it stands still, or changes far too little."""
     changes = [fact["changes_m"][drive] for fact in c.table("ids").values()]
     most, by_m = max(changes, key=abs), MOVE_SHARE * c.machine.stroke
     if abs(most) > COUNTS * by_m:
         text = f"its reading changes by {1e3 * most:.2f} mm as a leg is moved by about {1e3 * by_m:.0f} mm"
-        remedy = "Look at counts per m in the drive, lead and gear; and check that the leg went so far."
+        remedy = "Check counts per m in the drive, lead and gear; and that the leg was moved so far."
         return Finding("encoder_scale", (drive,), text, remedy)
-    text, remedy = "its encoder stands still while its leg moves", "Look at encoder, coupling, cable and leg."
+    text, remedy = "its reading does not change while its leg moves", "Check encoder, coupling, cable, leg."
     return Finding("encoder_frozen", (drive,), text, remedy)
 
 

@@ -1,4 +1,4 @@
-"""Check of the mounting: leg lengths while the platform hangs at known poses."""
+"""Bring-up step that checks the mounting: leg lengths while the platform hangs at known poses."""
 
 from collections.abc import Iterator
 
@@ -27,7 +27,7 @@ WAYS = {1: "presses the legs", 0: "neither presses the legs nor pulls at them", 
 
 
 def find(c: Context) -> None:
-    """Have the platform weighed and hung at the known poses, and read the legs, all drives off."""
+    """Have the platform weighed and hung at the known poses, and read the leg lengths, all drives off."""
     weigh = "Weigh the platform with all that is fixed to it, kg; 0: it cannot be weighed"
     way = "Will its weight press the legs together, 1, pull at them, -1, or neither, 0"
     for name, act, text, least, most in (
@@ -46,7 +46,7 @@ def find(c: Context) -> None:
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Findings: legs with lengths that fit other joints, or none; load and gravity; lost frames."""
+    """Findings: legs at wrong joints, a wrong home, slipped encoders, wrong load or gravity, lost frames."""
     yield from _load(c)
     m = c.machine
     facts = [c.known("mounted", k) for k in range(len(m.pose_lengths))]
@@ -60,21 +60,19 @@ def judge(c: Context) -> Iterator[Finding]:
     joints = {leg: _joints(m.joint_distances, q[:, leg]) for leg in wrong}
     if len(wrong) >= MANY and not any(joints.values()):
         legs = "; ".join(f"leg {leg} {off_mm[leg]}" for leg in wrong)
-        text = f"{len(wrong)} legs are off and fit no other joints: the platform hangs elsewhere ({legs})"
+        text = f"{len(wrong)} lengths are off and fit no other joints: the platform hangs elsewhere ({legs})"
         remedy = f"Hang it at the known poses, or correct platform.home and the joints. {AFTER}"
         yield Finding("wrong_home", (), text, remedy)
         return
     tilted = "See that the platform hangs at the known poses, not tilted. " * (len(wrong) > 1)
     for leg in wrong:
-        text, fits = f"at the known poses it is {off_mm[leg]} off", joints[leg]
+        text, fits = f"at the known poses its length is {off_mm[leg]} off", joints[leg]
         name, remedy = "mounted_elsewhere", tilted + REMEDY
         if fits is not None:
             text += f", and fits between base joint {fits[0]} and platform joint {fits[1]}"
         elif np.ptp(away[:, leg]) < SAME_M:
             name = "slipped"
-            remedy = (
-                f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {remedy}"
-            )
+            remedy = f"Encoder, belt or coupling has slipped, or its joint is elsewhere. {remedy}"
         yield Finding(name, (leg,), text, remedy)
 
 
@@ -83,7 +81,7 @@ def _load(c: Context) -> Iterator[Finding]:
     m, load = c.machine, c.facts["load"]
     mass = load["mass_kg"]
     if mass > 0.0 and abs(mass / m.platform_kg - 1.0) > LOAD_WITHIN:
-        text = f"the platform weighs {mass:.4g} kg, configured are {m.platform_kg:.4g} kg"
+        text = f"the platform weighs {mass:.4g} kg, configured: {m.platform_kg:.4g} kg"
         remedy = f"Write this mass into section platform, or take off parts that do not belong to it. {AFTER}"
         yield Finding("payload", (), text, remedy)
     seen, configured = round(load["presses"]), round(np.sign(m.presses)) if abs(m.presses) > UPRIGHT else 0
@@ -93,14 +91,14 @@ def _load(c: Context) -> Iterator[Finding]:
 
 
 def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
-    """Base and platform joint whose distances fit lengths (poses,) m best; None if no pair fits."""
+    """(base joint, platform joint) whose distances fit lengths (poses,) m best; None if no pair fits."""
     worst = np.abs(distances - q[:, None, None]).max(axis=0)
     base, platform = np.unravel_index(int(np.argmin(worst)), worst.shape)
     return (int(base), int(platform)) if worst[base, platform] <= FIT_M else None
 
 
 def gap(c: Context) -> Finding | None:
-    """Unproven: joints that read alike after forgotten turns; a mass that was not weighed."""
+    """Unproven: joints that read alike after turns lost at power-off; a mass that was not weighed."""
     gaps, forgotten = [], c.machine.forgotten_m
     least_m = np.inf if forgotten is None else float(forgotten.min())
     if least_m <= 4.0 * FIT_M:

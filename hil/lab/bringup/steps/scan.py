@@ -1,4 +1,4 @@
-"""Scan of the bus: which nodes answer, and whether six drives accept their set-up."""
+"""Bring-up step that scans the bus: which nodes answer, and whether six drives accept their set-up."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -20,7 +20,7 @@ CANOPEN_HEARTBEAT = 0x700
 
 
 def find(c: Context) -> None:
-    """Poll all drives, commanded off, and set them up; at every start, since drives forget."""
+    """Poll all drives while off, then set them up; repeated in every run, since drives forget settings."""
     c.drives.spoken = frames = set[tuple[int, int]]()
     heard, doubled, bus = _listen(c)
     lacks = ("",) * LEGS
@@ -45,7 +45,7 @@ def find(c: Context) -> None:
 
 
 def _recognise(c: Context, heard: Collection[int]) -> None:
-    """Drop the facts about legs whose drive was replaced since they were measured, and report it."""
+    """Delete the results about legs whose drive was replaced since, and report the replacement."""
     found, others = c.drives.identities(heard), []
     double = [leg for leg, serials in enumerate(c.drives.serials) if len(serials) > 1]
     for leg in double:  # either of the two may have answered last
@@ -71,7 +71,7 @@ def _recognise(c: Context, heard: Collection[int]) -> None:
 
 
 def _listen(c: Context, *, often: bool = False) -> tuple[list[int], int, dict[str, Any]]:
-    """Poll the drives, commanded off; return answered ticks per drive, bits of duplicate drives, the bus.
+    """Poll the drives while off; return answered ticks per drive, bits of duplicate drives, bus events.
 
     often: a node that answers each poll twice also counts as duplicate, unless drives send readings
     unsolicited.
@@ -115,7 +115,7 @@ def judge(c: Context) -> Iterator[Finding]:
         yield Finding("same_id", (leg, *silent), text, "Give one of the two its own node number.")
     if len(silent) == LEGS and not bus["strange"] and not bus["refused"]:
         text = f"no drive answers, neither node {nodes} nor any other"
-        remedy = "Look at bit rate, layout, cable, termination and the drives' supply."
+        remedy = "Check bit rate, layout, cable, termination and the drives' supply."
         yield Finding("absent", tuple(silent), text, remedy)
         return
     for leg in silent if not double else []:
@@ -125,20 +125,20 @@ def judge(c: Context) -> Iterator[Finding]:
         node = m.node_ids[leg]
         if fact["fault"]:
             text = f"node {node} stays in FAULT after a RESET: {fact['fault']}"
-            yield Finding("drive_fault", (leg,), text, "Look at the drive with its maker's tool.")
+            yield Finding("drive_fault", (leg,), text, "Check the drive with its maker's tool.")
         elif fact["answers"] and fact["lacks"]:
-            text = f"node {node} does not take its set-up: {fact['lacks']}"
+            text = f"node {node} does not confirm its set-up: {fact['lacks']}"
             yield Finding("set_up", (leg,), text, _SET_UP)
 
 
 def answers(c: Context) -> list[float]:
-    """Share of the polls that each drive answers, with all drives off."""
+    """Share of the polls, 0 to 1, that each drive answers, with all drives off."""
     heard = [c.drives.step()["age"] == 0 for _ in range(c.drives.ticks(LISTEN_S))]
     return [float(share) for share in np.mean(heard, axis=0)]
 
 
 def lost_frames(answers: dict[int, float]) -> Iterator[Finding]:
-    """Finding about drives that answer only a part of the polls; answers: share of the polls by leg."""
+    """Finding for drives that answer only part of the polls; answers: share of the polls by leg."""
     lossy = {leg: 1.0 - share for leg, share in answers.items() if 0.0 < share < LEAST_ANSWERS}
     if lossy:
         legs = ", ".join(f"leg {leg} {100.0 * share:.3g} %" for leg, share in lossy.items())
@@ -167,7 +167,7 @@ def _silent(c: Context, leg: int, bus: dict[str, Any]) -> Finding:
         text = f"{node} sends {names} unsolicited, but does not answer: {fact['lacks'] or 'no poll'}"
     else:
         name, text = "absent", f"{node} does not answer"
-        remedy = "Look at its power, its cable, its bit rate and its node number."
+        remedy = "Check its power, its cable, its bit rate and its node number."
         if strange:
             text += f"; identifiers unknown to {m.protocol} were received: {names}"
             remedy += " If these frames end as it is switched off, it speaks another protocol."

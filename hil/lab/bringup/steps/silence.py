@@ -1,4 +1,4 @@
-"""Proof of each drive's own watchdog: the controller stops sending.
+"""Bring-up step that proves each drive's own watchdog: the controller stops sending.
 
 Drives that can be powered on shut brakes are proven all at once. Drives without a state between off and
 enabled open the brake of their leg, so they are proven one at a time, on trestles. A drive is watched
@@ -33,7 +33,7 @@ Fact = dict[str, Any]
 def find(c: Context) -> None:
     """Power the drives, stop commanding them, and measure the time until each loses power.
 
-    Times are measured by the clock at ticks, however late they came. A result left open by a late tick is
+    Times are measured by the clock at ticks, even late ones. A result that a late tick leaves open is
     measured again.
     """
     traits = c.drives.protocol.traits
@@ -51,7 +51,7 @@ def find(c: Context) -> None:
 
 
 def _is_conclusive(c: Context, fact: Fact) -> bool:
-    """True if a fact decides whether the watchdog is right."""
+    """True if the measured bounds decide whether the watchdog's time is right."""
     until, since = fact["until_s"], fact["since_s"]
     if not fact["powered"] or until is None:
         return True
@@ -114,10 +114,10 @@ def _watched(c: Context, legs: Sequence[int], silent: Callable[[], Record]) -> l
 
 
 def _find_polled(c: Context, legs: Sequence[int]) -> list[Fact]:
-    """Poll a drive before and after its watchdog time: commands feed the watchdog but do not restore power.
+    """Poll a drive before and after its watchdog time: commands feed the watchdog, not the lost power.
 
-    If only the heartbeat reports the power state, commands go on until the next heartbeat. The result is the
-    longest time between two commands that the watchdog outlasted, or did not.
+    If only the heartbeat reports the power state, commands go on until the next heartbeat. Result: longest
+    times, s, between two commands that the watchdog outlasted (`since_s`) or not (`until_s`).
     """
     leg, rate, wait = legs[0], c.drives.line.rate_Hz, c.machine.watchdog_s
     late_s = c.machine.heartbeat_s if c.drives.protocol.traits.power_told == "heartbeat" else 0.0
@@ -146,15 +146,13 @@ def judge(c: Context) -> Iterator[Finding]:
         until, since_ms = fact["until_s"], 1e3 * (fact["since_s"] or 0.0)
         remedy = "Set the drive's watchdog, or its unit."
         if not fact["powered"]:
-            name, text = "not_powered", "the drive does not take power, or does not keep it"
-            remedy = (
-                "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
-            )
+            name, text = "not_powered", "the drive does not switch on, or does not stay on"
+            remedy = "Check its fault, its enable, and for a watchdog shorter than the one set."
         elif until is None:
-            name, text = "watchdog_missing", f"it is still powered after {1e3 * _wait_s(c):g} ms of silence"
+            name, text = "watchdog_missing", f"powered {1e3 * _wait_s(c):g} ms after the last command"
             remedy = "Switch its watchdog on: nothing stops this leg when the controller dies."
         else:
-            text = f"it reacts within {since_ms:g} to {1e3 * until:g} ms of silence"
+            text = f"reacts {since_ms:g} to {1e3 * until:g} ms after the last command"
             if not _is_conclusive(c, fact):
                 name = "watchdog_unmeasured"
                 remedy = f"Ticks were late {TRIES} times: close other programs, and repeat the command."
@@ -169,11 +167,11 @@ def judge(c: Context) -> Iterator[Finding]:
 
 
 def gap(c: Context) -> Finding | None:
-    """Drives without a provable watchdog, for families whose watchdog this program does not set."""
+    """Finding that lists drives without a provable watchdog; only if this program cannot set watchdogs."""
     legs = [leg for leg in range(LEGS) if not _observable(c) or c.known("watchdog", leg)["until_s"] is None]
     if c.drives.protocol.traits.has_watchdog or not legs:
         return None
-    shown = f"those of legs {', '.join(map(str, legs))} stay enabled in silence"
+    shown = f"the drives of legs {', '.join(map(str, legs))} stay enabled without commands"
     if not _observable(c):
         shown = "their answers do not show whether they are enabled"
     return gap_of(

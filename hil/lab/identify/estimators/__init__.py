@@ -1,1 +1,1 @@
-"""Estimators for data from logs: the delay from command to force, linearised axes, masses and friction."""
+"""Estimators for log data: delay from command to force, linearised axes, masses and friction."""

@@ -1,4 +1,4 @@
-"""The nominal axis, its fit to measured responses, and the bound of its error."""
+"""Fits gain, delay and lag in front of a double integrator to measured responses, and bounds the error."""
 
 from math import ceil
 from typing import NamedTuple
@@ -49,7 +49,7 @@ SEPARATED = 10.0
 class Delays(NamedTuple):
     """Delays from measurement to force, s, with standard deviations.
 
-    Where transport and lag could not be separated, lag is 0, exactly, and transport is their sum.
+    If transport delay and lag cannot be separated, lag is exactly 0 and transport is their sum.
     """
 
     transport_s: float
@@ -62,7 +62,7 @@ class Delays(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """gain exp(-transport s) / (lag s + 1) / s^2 with standard deviations."""
+    """Axis model gain exp(-transport s) / (lag s + 1) / s^2 fitted to responses; standard deviations."""
 
     gain: Array
     """(6,)."""
@@ -73,7 +73,7 @@ class Fit(NamedTuple):
 
 
 class Uncertainty(NamedTuple):
-    """Bound of the relative error between measured axes and the nominal one, with confidence."""
+    """Upper bound, with 95 % confidence, of the relative error of the fitted axis model over frequency."""
 
     frequency_Hz: Array
     bound: Array
@@ -84,12 +84,12 @@ class Uncertainty(NamedTuple):
 
 
 def fit_axes(response: Response) -> Fit:
-    """Fit the nominal axis with the smallest relative error, each line weighted by its certainty.
+    """Fit gain, delay and lag of the axis model; each spectral line is weighted by its certainty.
 
     The loss is soft: a model error in weight or friction distorts only the lowest lines, which have the least
     noise. It belongs to the bound, not to the gain.
 
-    Raises IdentificationError: too few coherent lines on an axis, responses unlike the nominal axis, or an
+    Raises IdentificationError: too few coherent lines on an axis, responses unlike the axis model, or an
     excitation that does not show the delay.
     """
     used = response.excited & (response.coherence >= COHERENT) & np.isfinite(response.G)
@@ -112,7 +112,7 @@ def fit_axes(response: Response) -> Fit:
         return np.concatenate([error.real, error.imag])
 
     def search(*starts: tuple[float, ...]) -> tuple[Array, Array, Array]:
-        """Gains, transport and lag, if any, of the best fit; its residual, and the covariance."""
+        """Best fit over start delays: parameters (8,), residual, and covariance."""
         n = len(starts[0])
         fits = [
             least_squares(
@@ -156,7 +156,7 @@ def fit_axes(response: Response) -> Fit:
 
 
 def uncertainty(response: Response, fit: Fit) -> Uncertainty:
-    """Bound of the relative error over frequency: the measured error plus its 95 % circle.
+    """Upper bound over frequency of the relative error between measured axes and the fitted model.
 
     For a single axis it is the relative error plus the radius of its 95 % circle. An excited line that is not
     coherent counts with a large circle. Six neighbouring lines that move the axes in six directions also
@@ -201,7 +201,7 @@ def uncertainty(response: Response, fit: Fit) -> Uncertainty:
 
 
 def _largest_singular_value(D: ComplexArray, V: ComplexArray) -> float | None:
-    """Largest singular value of Delta in D = Delta V, six lines as rows; None without six directions."""
+    """Largest singular value of Delta in D = Delta V, six lines as rows; None if V is near singular."""
     size = np.linalg.norm(V, axis=1)
     if len(V) < 6 or not (size > 0.0).all():
         return None

@@ -3,8 +3,8 @@
 Each leg is weighted by the variance of its residual. Regressors are projected onto their instruments, so
 errors of the length readings bias nothing, not even through the law (two-stage least squares; W. A. Fuller,
 Measurement Error Models, 1987, ch. 1). Unknowns are scaled by the platform's own size. A direction of the
-unknowns counts as hidden, and keeps its believed value, in two cases: its standard deviation would exceed
-FAINT of that size, or its instruments are WEAK.
+unknowns counts as hidden (not observable), and keeps its configured value, in two cases: its standard
+deviation would exceed FAINT of that size, or its instruments are WEAK.
 
 Residuals are coloured: filtered noise, and errors of the model. Standard errors follow from the products of
 residuals and regressors, expanded in the lowest terms of a cosine series over the whole log, which do not
@@ -45,10 +45,10 @@ ROUNDS = 3
 
 
 class Estimate(NamedTuple):
-    """Least-squares estimate of the unknowns, before the constraint to a possible body."""
+    """Least-squares estimate of platform and drive parameters, before the constraint to a possible body."""
 
     theta: Array
-    """(29,), in the order of the columns of `Equations`."""
+    """(29,) parameters, in the order of the columns of `Equations`."""
     covariance: Array
     """(29, 29), of the shown directions only: hidden ones have no finite standard deviation."""
     shown: Array
@@ -58,35 +58,35 @@ class Estimate(NamedTuple):
     condition: float
     """Condition number of the columns, each scaled to unit length."""
     residual_N: Array
-    """(6,) rms of each leg."""
+    """(6,) N, rms residual of each leg."""
     root: Array
     """(29, 29): |root (theta - x)|^2 is the increase of the weighted sum of squares from theta to x."""
     scale: Array
-    """(29,): the platform's own size of each unknown."""
+    """(29,) typical size of each parameter, see `unknowns_scale`."""
     samples: int
 
     @property
     def std(self) -> Array:
-        """(29,) standard errors; for a partly hidden unknown, of its shown part."""
+        """Standard errors (29,) of the parameters; for a partly unobservable one, of its observable part."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def unknown(self) -> Array:
-        """(29,): share of each unknown, 0 .. 1, in hidden directions."""
+        """Share of each parameter (29,), 0 to 1, in directions that the motion does not show."""
         return np.asarray((self.hidden**2).sum(axis=1), np.float64)
 
 
 def unknowns_scale(platform: Platform) -> Array:
-    """Sizes (29,): mass m, first moments m r, inertia m r^2; friction: weight at 1 m/s; 1 ms; m / 6."""
+    """Sizes (29,): mass m; m r; inertia m r^2; friction: weight / 6 at 1 m/s; delay 1 ms; mass m / 6."""
     m, r = platform.platform.mass, platform.radius
     return np.array([m, *3 * (m * r,), *6 * (m * r * r,), *12 * (m * WEIGHT / 6.0,), 1e-3, *6 * (m / 6.0,)])
 
 
 def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
-    """Weighted least squares of the equations of all logs.
+    """Solve the leg equations of all logs for the parameters (29,) by weighted least squares.
 
-    believed (29,): kept in hidden directions; scale: `unknowns_scale`. Raises IdentificationError: too few
-    samples.
+    believed (29,): configured values, kept in unobservable directions; scale: `unknowns_scale`. Raises
+    IdentificationError: too few samples.
     """
     count = np.bincount(equations.leg, minlength=6)
     if count.min() < FEWEST_SAMPLES:
@@ -121,15 +121,15 @@ def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
 
 
 def _projected(X: Array, W: Array) -> Array:
-    """X (m, n) projected onto the columns of W (m, n)."""
+    """Columns of X (m, n) projected onto the column space of W (m, n)."""
     return np.asarray(W @ np.linalg.lstsq(W, X, rcond=None)[0], np.float64)
 
 
 def _directions(led: Array, rest: Array) -> tuple[Array, Array]:
-    """Orthonormal columns of the shown and the hidden directions of weighted equations.
+    """Orthonormal columns of the observable and the unobservable directions of the parameters.
 
-    led (m, n), with a residual of unit variance: what the instruments explain of the regressors; rest (m, n):
-    what they do not.
+    led (m, n): part of the weighted regressors that the instruments explain; rest (m, n): part that they do
+    not; the residual has unit variance.
     """
     m, n = led.shape
     _, s, Vt = np.linalg.svd(led, full_matrices=False)
@@ -157,12 +157,12 @@ def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
 
 
 def prediction_error(equations: Equations, theta: Array) -> float:
-    """Rms (N) of the residual of the equations at theta (29,)."""
+    """Rms residual, N, of the leg equations with parameters theta (29,)."""
     return float(np.sqrt(np.mean((equations.y - equations.A @ theta) ** 2)))
 
 
 def halves(equations: Equations) -> list[Equations]:
-    """Rows of the first and of the second half of the time."""
+    """Split equations into those of the first and of the second half of the log's time."""
     first = equations.sample <= np.median(equations.sample)
     return [equations.part(first), equations.part(~first)]
 
@@ -175,10 +175,10 @@ _POWERS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 
 class Consistent(NamedTuple):
-    """Estimate constrained to a possible body."""
+    """Estimate of platform and drive parameters, constrained to a physically possible body."""
 
     theta: Array
-    """(29,)."""
+    """(29,) parameters, constrained to a possible body."""
     smallest: float
     """Smallest eigenvalue of the unconstrained pseudo-inertia, lengths in radii, kg.
 
@@ -189,13 +189,13 @@ class Consistent(NamedTuple):
 
 
 def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) -> Consistent:
-    """Least squares constrained to possible bodies.
+    """Least squares constrained to physically possible bodies.
 
     The pseudo-inertia is the carrier's plus one in log-Cholesky form, so no constraint is needed (C. Rucker
-    and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022). Hidden directions stay as believed,
-    as far as a body permits. Friction and reflected masses are further unknowns without bounds: with an
-    imperfect model, the estimate of a zero friction may be negative, and a bound would push that error into
-    the inertia.
+    and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022). Unobservable directions stay as
+    configured, as far as a body permits. Friction and reflected masses are further unknowns without bounds:
+    with an imperfect model, the estimate of a zero friction may be negative, and a bound would push that
+    error into the inertia.
 
     estimate: unconstrained least squares. radius: m, makes the lengths of the pseudo-inertia comparable.
     carrier (10,): a known body; the rest on top of it must be a possible body by itself.
@@ -233,7 +233,7 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
 
 
 def _nearest(theta: Array) -> Array:
-    """Theta with a positive definite pseudo-inertia: eigenvalues that are too small are raised."""
+    """Body parameters (10,) with a positive definite pseudo-inertia: eigenvalues too small are raised."""
     values, vectors = np.linalg.eigh(pseudo_inertia(theta))
     values = np.maximum(values, LEAST * np.abs(values).max())
     return from_pseudo_inertia(vectors @ np.diag(values) @ vectors.T)

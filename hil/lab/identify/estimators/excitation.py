@@ -1,6 +1,6 @@
-"""Small motions about a pose that excite the loop: one to find its delay, one to identify its axes.
+"""Small motions about a pose that excite the loop, to identify its delay or its linearised axes.
 
-Each is a `reference` section, so the run is an ordinary one.
+Each is a section `reference` of the configuration, so an ordinary run performs it.
 """
 
 from math import ceil, pi
@@ -41,26 +41,26 @@ DRIFT_Hz = 5e-4
 
 
 class _Directions(NamedTuple):
-    """Effect of one m or rad on each axis, at a pose; columns are axes."""
+    """Effects of 1 m or 1 rad (or per s, per s^2) along each axis at a pose; columns are axes."""
 
     forces: Array
-    """(6, 6) N of the legs for one m/s^2 or rad/s^2."""
+    """(6, 6) N, leg forces for 1 m/s^2 or 1 rad/s^2 of each axis."""
     leg_rates: Array
-    """(6, 6) leg rates."""
+    """(6, 6) m/s, leg rates for 1 m/s or 1 rad/s of each axis."""
     words: Array
-    """(6, 6) m, deg of the pose."""
+    """(6, 6) m, deg, change of the pose for 1 m or 1 rad of each axis."""
     together: Array
-    """(6,) m, deg of the pose for one metre of all legs."""
+    """(6,) m, deg, change of the pose for 1 m of all legs."""
 
 
 def delay_excitation(
     model: Model, pose: Pose, rate_Hz: float, force_N: float, duration_s: float
 ) -> SinusoidReference:
-    """Sinusoids about `pose` with a largest leg force of `force_N` on top of the static force.
+    """Sinusoids about `pose` that excite the loop to identify its delay.
 
-    All lines of an axis have equal accelerations, so each amplitude falls with the square of the frequency.
-    The axes load the legs equally. In addition, all legs extend and retract slowly by 3 mm. duration_s
-    includes fading in and out.
+    The largest leg force is `force_N` on top of the static force. All lines of an axis have equal
+    accelerations, so each amplitude falls with the square of the frequency. The axes load the legs equally.
+    In addition, all legs extend and retract slowly by 3 mm. duration_s includes fading in and out.
     """
     slower = min(1.0, rate_Hz / DELAY_SLOW_Hz)
     lines = _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz / slower)
@@ -114,7 +114,7 @@ def axis_excitation(
 def _multisine(
     at: _Directions, frequency: Array, period_s: float, force_N: float, *, equal: int
 ) -> tuple[list[Sinusoid], float]:
-    """Lines at frequencies (n,) Hz, neighbours on different axes; and the largest leg rate, m/s.
+    """Sinusoids at frequencies (n,) Hz, neighbours on different axes; and the largest leg rate, m/s.
 
     The axes load the legs equally, by force_N at most. The lines of an axis are equal in the derivative of
     order `equal`: 1 rates, 2 accelerations.
@@ -135,7 +135,7 @@ def _multisine(
 
 
 def _sinusoids(moved: Array, frequency_Hz: float, phase: float) -> list[Sinusoid]:
-    """Components of one line: amplitudes (6,) m, deg of the pose, phase in rad."""
+    """Components of one line; moved (6,): amplitudes m, deg of the pose; phase: rad."""
     return [
         Sinusoid(
             axis=axis,

@@ -1,4 +1,4 @@
-"""The delay from command to force.
+"""Estimates the delay from commanded to acting leg force, as a transport delay and a first-order lag.
 
 The leg forces follow from two sources: from the commands, through a transport delay and a first-order lag
 (`hil.robot.force_path`), and from the motion, through the rigid-body model. The mean force over a period is
@@ -47,11 +47,11 @@ class Motion(NamedTuple):
     tau: Array
     """(n, 6) N, the commands computed from each tick's measurement."""
     p: Array
-    """(n, 3) m."""
+    """(n, 3) m, platform position, base frame."""
     R: Array
-    """(n, 3, 3)."""
+    """(n, 3, 3) rotation, platform to base."""
     twist: Array
-    """(n, 6)."""
+    """(n, 6) m/s, rad/s, twist of the platform's origin, base frame."""
     rate: Array
     """(n, 6) m/s, leg rates."""
     usable: Flags
@@ -59,7 +59,7 @@ class Motion(NamedTuple):
 
 
 class Delay(NamedTuple):
-    """Identified delays and their quality."""
+    """Identified delays from command to force, and how well the commands explain the motion."""
 
     delays: Delays
     separable: bool
@@ -67,7 +67,7 @@ class Delay(NamedTuple):
     explained: float
     """Explained share of the varying force, 0 .. 1."""
     gain: Array
-    """(6,) of each leg: 1 if model and drives agree."""
+    """(6,) ratio of needed to commanded force; 1 if model and drives agree."""
     periods: int
     """Usable periods of the leg that moved least."""
 
@@ -108,7 +108,7 @@ def force_delay(motion: Motion, model: Model) -> Delay:
 
 
 def needed_forces(motion: Motion, model: Model) -> Array:
-    """Mean leg forces (n - 1, 6) N required by the motion of each period; nan if not usable."""
+    """Mean leg forces (n - 1, 6) N that the motion of each period required; nan if not usable."""
     found = np.full((len(motion.tau) - 1, 6), np.nan)
     a, b = model.platform.base_joints, model.platform.platform_joints
     for k in np.flatnonzero(motion.usable):
@@ -120,7 +120,7 @@ def needed_forces(motion: Motion, model: Model) -> Array:
 
 
 def mean_forces(tau: Array, period_s: float, transport_s: float, lag_s: float) -> Array:
-    """Mean force (n - 1, 6) N over the period after each tick; see `hil.robot.force_path`.
+    """Mean acting force (n - 1, 6) N over the period after each tick; see `hil.robot.force_path`.
 
     tau (n, 6) N: commands; before the first tick the first command applies.
     """
@@ -142,9 +142,9 @@ def mean_forces(tau: Array, period_s: float, transport_s: float, lag_s: float) -
 
 
 class _Fit:
-    """Separable least squares of one log: a row for each leg and period in which the leg slides one way.
+    """Separable least squares over one log: a row for each leg and period in which the leg slides one way.
 
-    Delays x are transport and lag in periods, or transport alone.
+    Delays x are (transport,) or (transport, lag), in periods.
     """
 
     def __init__(self, motion: Motion, needed: Array) -> None:
@@ -165,17 +165,17 @@ class _Fit:
         return np.column_stack([self._force(*x), np.ones(len(self.needed)), self._friction])
 
     def coefficients(self, x: Sequence[float] | Array) -> Array:
-        """Gain, offset, viscous and Coulomb friction (6, 4) of the legs for given delays."""
+        """Gain, offset N, viscous N s/m and Coulomb N friction (6, 4) of the legs for given delays."""
         A = self._regressors(x)
         return np.array([np.linalg.lstsq(A[k], self.needed[k], rcond=None)[0] for k in self.rows])
 
     def residual(self, x: Sequence[float] | Array) -> Array:
-        """Residual of the forces for given delays, (m,) N."""
+        """Needed minus modelled force (m,) N for given delays, one row per leg and period."""
         of_rows = self.coefficients(x)[self._leg]
         return np.asarray(self.needed - (self._regressors(x) * of_rows).sum(axis=1), np.float64)
 
     def search(self, starts: Sequence[tuple[float, ...]]) -> Array:
-        """Delays with the smallest residual, from the best of several starts."""
+        """Delays, in periods, with the smallest residual over several start values."""
         fits = [
             least_squares(
                 self.residual,
@@ -188,7 +188,7 @@ class _Fit:
         return np.asarray(min(fits, key=lambda fit: float(fit.cost)).x, np.float64)
 
     def covariance(self, x: Array) -> Array:
-        """Covariance of the delays, the legs' coefficients free; inf if they are not determined."""
+        """Covariance, periods^2, of the delays with free leg coefficients; inf if undetermined."""
         A, n = self._regressors(x), len(x)
         Z = np.empty((len(A), n))
         for k in range(n):

@@ -1,18 +1,18 @@
 """The leg forces of a log as linear equations in the platform's ten parameters and the drives' friction.
 
 tau - legs = J^-T Y theta + viscous dq + coulomb sgn(dq) + reflected ddq - late dtau/dt, a row for each leg
-and sample: the forces of the legs themselves, their weight included, come from the model.
+and sample. `legs` are the forces of the legs themselves, with their weight, from the model.
 
-Forces and lengths are not simultaneous: drives report forces from some 10 us before or after the latch, and
-the known delay of a command may be off by half a period. An inertia evaluated too late looks like viscous
-friction, so this time is an unknown, too: tau(t) = acting(t - late), to first order.
+Forces and lengths are not simultaneous: drives report forces from some 10 us before or after they sample the
+encoder, and the known delay of a command may be off by half a period. An inertia evaluated too late looks
+like viscous friction, so this time is an unknown, too: tau(t) = acting(t - late), to first order.
 
 Both sides go through one filter and are decimated (M. Gautier, Proc. IEEE ICRA 1997). A leg that is slow or
 reverses under the filter gives no row, since a leg that sticks hides any force.
 
-A regressor has the encoders' errors, and so does the force, through the law. Instruments are the regressors
-along the reference, which knows neither (A. Janot, P.-O. Vandanjon and M. Gautier, IEEE Trans. Control Syst.
-Technol. 22(1), 2014).
+Regressors contain the encoders' errors, and so does the force, through the law. Instruments are the
+regressors along the reference, which is free of both errors (A. Janot, P.-O. Vandanjon and M. Gautier, IEEE
+Trans. Control Syst. Technol. 22(1), 2014).
 """
 
 from typing import NamedTuple
@@ -44,29 +44,29 @@ WIDER = 3
 
 
 class Equations(NamedTuple):
-    """A theta = y, rows in the order of time; `joined` appends several logs."""
+    """Linear equations A theta = y, N, of the legs, rows in time order; `joined` appends several logs."""
 
     A: Array
     """(m, 29): ten parameters of the platform; viscous and Coulomb friction of each leg; common delay of the
     forces, s; reflected mass of each leg.
     """
     y: Array
-    """(m,) N."""
+    """(m,) N, leg force less the legs' own forces."""
     instruments: Array
-    """(m, 29): A along the reference."""
+    """(m, 29): A computed along the reference, as instruments."""
     leg: Ints
-    """(m,) 0..5."""
+    """(m,) leg number, 0 to 5."""
     sample: Ints
     """(m,): index of the instant over all logs; rows of one instant are neighbours."""
 
     def part(self, which: Flags) -> "Equations":
-        """The selected rows."""
+        """Equations of the selected rows; which: mask (m,)."""
         A, y, W, leg, sample = self
         return Equations(A[which], y[which], W[which], leg[which], sample[which])
 
 
 def equations_of(model: Model, signals: LegSignals) -> Equations:
-    """Equations of a log for platform and drives.
+    """Leg equations of a log for the parameters of platform and drives.
 
     The model contributes legs, joints, gravity and sliding speed, but no other masses and no friction.
     """
@@ -108,7 +108,7 @@ def _forces(constants: Array, motion: PlatformMotion) -> Array:
 
 
 def _columns(platform: Platform, motion: PlatformMotion) -> Array:
-    """A (n, 6, 29) at every tick."""
+    """Regressors A (n, 6, 29) of every tick and leg."""
     A = np.zeros((len(motion.p), 6, COLUMNS))
     Y = regressor(motion.R, motion.twist, motion.dtwist, platform.gravity)
     A[:, :, :SIZE] = np.linalg.solve(motion.J.transpose(0, 2, 1), Y)
@@ -121,7 +121,7 @@ def _columns(platform: Platform, motion: PlatformMotion) -> Array:
 
 
 def without(equations: Equations, given: Array, first: int) -> Equations:
-    """Equations with the unknowns from column `first` on fixed at `given` (29,): their columns are 0."""
+    """Equations with the unknowns from column `first` on fixed at `given` (29,): their columns become 0."""
     A, W = equations.A.copy(), equations.instruments.copy()
     A[:, first:] = W[:, first:] = 0.0
     return equations._replace(A=A, y=equations.y - equations.A[:, first:] @ given[first:], instruments=W)

@@ -1,8 +1,8 @@
-"""Motion of the platform from leg lengths alone, differentiated without phase; forces smoothed alike.
+"""Motion of the platform from leg lengths alone, differentiated without phase lag; forces filtered alike.
 
-A smooth bell of finite length is convolved with the lengths. Its derivatives replace those of the signal
-(M. Shinbrot, Trans. ASME 79, 1957). Lengths, rates, accelerations and forces pass the same filter, so none
-lags another (M. Gautier, Proc. IEEE ICRA 1997), and each value depends on a known range of ticks only.
+A bell-shaped window of finite length is convolved with the lengths. Its derivatives replace those of the
+signal (M. Shinbrot, Trans. ASME 79, 1957). Lengths, rates, accelerations and forces pass the same filter, so
+none lags another (M. Gautier, Proc. IEEE ICRA 1997), and each value depends on a known range of ticks.
 """
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ SMOOTHING_S = 0.015
 filtered force is compared with the force at the filtered pose.
 """
 FEWEST_TICKS = 4
-"""Least half length of the bell; fewer samples would not suffice for its derivatives."""
+"""Least half length of the window, ticks; fewer would not suffice for its derivatives."""
 TOLERANCE_m = 1e-11
 
 
@@ -30,18 +30,18 @@ class LegSignals(NamedTuple):
     length: Array
     """(n, 6) m."""
     reference: Array
-    """(n, 6) m, of the length: the same motion without the encoders' errors."""
+    """(n, 6) m, reference lengths: the same motion without the encoders' errors."""
     force: Array
     """(n, 6) N at the instant of the length, > 0 extends."""
     p: Array
     """(n, 3) m, and R (n, 3, 3): start poses of the forward kinematics."""
     R: Array
     good: Flags
-    """(n,): brakes open, all legs fresh."""
+    """(n,) True with open brakes and fresh readings of all legs."""
 
 
 class PlatformMotion(NamedTuple):
-    """Motion of platform and legs at the ticks of a log; only `good` ones count."""
+    """Motion of platform and legs at the n ticks of a log; only ticks marked `good` count."""
 
     R: Array
     """(n, 3, 3), x_base = p + R x_platform."""
@@ -60,9 +60,9 @@ class PlatformMotion(NamedTuple):
     force: Array
     """(n, 6) N."""
     dforce: Array
-    """(n, 6) N/s, its rate."""
+    """(n, 6) N/s, rate of the force."""
     good: Flags
-    """(n,): no tick under the bell is missing."""
+    """(n,) True if no tick under the window is missing."""
 
 
 class Bell(NamedTuple):
@@ -76,15 +76,15 @@ class Bell(NamedTuple):
 
 
 def half_ticks(period_s: float) -> int:
-    """Half the length, in ticks, of the bell that smooths the lengths."""
+    """Half length, in ticks, of the window that smooths the leg lengths."""
     return max(FEWEST_TICKS, round(SMOOTHING_S / period_s))
 
 
 def bell(half: int, period_s: float) -> Bell:
-    """The filter that reaches `half` ticks to either side.
+    """Window that reaches `half` ticks to either side, with its first two derivatives.
 
-    With u = 1 - x^2 it is u^4 (a + b x^2), its derivatives u^3 (a x + b x^3) and u^2 (a + b x^2 + c x^4).
-    The free coefficients make each exact for sampled polynomials up to the third degree: a filter that keeps
+    With u = 1 - x^2 it is u^4 (a + b x^2), its derivatives u^3 (a x + b x^3) and u^2 (a + b x^2 + c x^4). The
+    free coefficients make each exact for sampled polynomials up to the third degree: a filter that keeps
     parabolas does not shift nonlinear functions of the lengths.
     """
     x = np.arange(-half, half + 1) / half
@@ -96,7 +96,7 @@ def bell(half: int, period_s: float) -> Bell:
 
 
 def _with_moments(basis: list[Array], t: Array, moments: dict[int, float]) -> Array:
-    """Sum of the basis functions with the given moments, sums over t^k."""
+    """Sum of basis functions whose moments, sums over t^k, have the given values."""
     B = np.array(basis)
     scaled = t / t[-1]
     A = np.array([B @ scaled**k for k in moments])
@@ -123,7 +123,7 @@ def all_under(half: int, good: Flags) -> Flags:
 
 
 def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
-    """Pose, twist and acceleration at every tick, of the smoothed lengths; forces smoothed alike.
+    """Pose, twist and acceleration of the platform at each tick from smoothed lengths; forces filtered alike.
 
     Forward kinematics starts at the logged poses; a tick at which it does not converge is not good.
     """

@@ -73,7 +73,7 @@ class Spectra(NamedTuple):
 
 
 def periodic(signals: AxisSignals, length: int, harmonics: Ints) -> Spectra:
-    """Spectra of whole periods of `length` ticks, at multiples of 1/(length T).
+    """Spectra of whole periods of `length` ticks, at multiples of 1 / (length period_s), in Hz.
 
     Whole periods of a periodic signal need no window and do not leak. A drift with a steadily changing speed
     may be superposed; it follows from the means of the periods and is subtracted. Periods with a bad tick are
@@ -152,7 +152,7 @@ def _blocks(starts: list[int], length: int) -> Ints:
 
 
 def _starts(good: Flags, length: int, step: int) -> list[int]:
-    """First ticks of as many blocks of good ticks as fit, `step` apart except at gaps."""
+    """First ticks of the blocks of `length` good ticks, `step` ticks apart except at gaps."""
     starts, k = [], 0
     bad = np.flatnonzero(~good)
     while k + length <= len(good):
@@ -173,7 +173,7 @@ FEWEST_COUNTING = 3.0
 
 
 class Response(NamedTuple):
-    """Estimates for each line and axis, all (lines, 6)."""
+    """Estimated frequency responses of six axes, arrays (lines, 6)."""
 
     period_s: float
     frequency_Hz: Array
@@ -194,7 +194,7 @@ class Response(NamedTuple):
 
 
 def estimate(spectra: Spectra) -> Response:
-    """Frequency responses of six axes, each by itself.
+    """Frequency response, coherence and standard deviation of six axes, each axis by itself.
 
     The 95 % circle is that of a complex normal with variance estimated from m blocks: |error|^2 / variance is
     distributed as F(2, 2 m - 2), m = 1 / sum h^2.

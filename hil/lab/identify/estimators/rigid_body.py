@@ -1,9 +1,9 @@
-"""A rigid body as ten parameters: the force that its motion needs, and the parameters possible for a body.
+"""A rigid body as ten parameters: the force that its motion needs, and which parameters are possible.
 
 theta = [m, m c, I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]: mass, first moments and inertia about the platform's
-origin, platform axes. Force and moment are linear in them (C. G. Atkeson, C. H. An and J. M. Hollerbach,
-Int. J. Robotics Research 5(3), 1986). They belong to a body if and only if the pseudo-inertia is positive
-definite (P. M. Wensing, S. Kim and J.-J. E. Slotine, IEEE Robotics and Automation Letters 3(1), 2018).
+origin, platform axes. Force and moment are linear in them (C. G. Atkeson, C. H. An and J. M. Hollerbach, Int.
+J. Robotics Research 5(3), 1986). They belong to a body if and only if the pseudo-inertia is positive definite
+(P. M. Wensing, S. Kim and J.-J. E. Slotine, IEEE Robotics and Automation Letters 3(1), 2018).
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ def tensor(elements: Array) -> Array:
 
 
 def parameters_of(body: Body) -> Array:
-    """Parameters theta (10,) of a body in platform axes."""
+    """Parameters theta (10,) of a body about the platform's origin, platform axes; kg, kg m, kg m^2."""
     I = body.inertia + steiner(body.mass, body.com)
     return np.array([body.mass, *(body.mass * body.com), *I[_ELEMENTS]])
 
@@ -41,7 +41,7 @@ def body_of(theta: Array) -> Body:
 
 
 def pseudo_inertia(theta: Array) -> Array:
-    """[[tr(I)/2 1 - I, m c], [m c^T, m]], (4, 4): the integral of [x; 1] [x; 1]^T dm."""
+    """Pseudo-inertia [[tr(I)/2 1 - I, m c], [m c^T, m]], (4, 4): the integral of [x; 1] [x; 1]^T dm."""
     I = tensor(theta[4:])
     P = np.empty((4, 4))
     P[:3, :3] = 0.5 * np.trace(I) * np.eye(3) - I
@@ -57,7 +57,7 @@ def from_pseudo_inertia(P: Array) -> Array:
 
 
 def from_log_cholesky(x: Array) -> Array:
-    """Parameters theta (10,) from any ten numbers [a, d1, d2, d3, s12, s23, s13, t1, t2, t3]; always a body.
+    """Parameters theta (10,) of a possible body from any [a, d1, d2, d3, s12, s23, s13, t1, t2, t3].
 
     The pseudo-inertia is U U^T with U = exp(a) [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3],
     [0, 0, 0, 1]] (C. Rucker and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022).
@@ -99,12 +99,12 @@ def regressor(R: Array, twist: Array, dtwist: Array, gravity: Array) -> Array:
 
 
 def _cross(x: Array) -> Array:
-    """Cross product matrices (n, 3, 3) of x."""
+    """Cross product matrices (n, 3, 3) of vectors x (n, 3)."""
     return np.asarray(np.cross(x[:, None], np.eye(3)).transpose(0, 2, 1), np.float64)
 
 
 def _inertia_times(x: Array) -> Array:
-    """L (n, 3, 6) with L elements = I x."""
+    """Matrices L (n, 3, 6) with L [I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]^T = I x, for vectors x (n, 3)."""
     L = np.zeros((len(x), 3, 6))
     for row in range(3):
         for column in range(3):

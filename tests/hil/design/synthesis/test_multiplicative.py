@@ -109,7 +109,7 @@ def test_measured_axes_beyond_every_loop_of_the_design_are_refused(file):
 
 @pytest.mark.parametrize(
     ("robot", "says"),
-    [("bench", "six uncoupled legs"), ("vcan50", "loop.rate_Hz: 50, allowed: that of the design, 1000")],
+    [("bench", "six uncoupled legs"), ("vcan50", "loop.rate_Hz: 50, allowed: as in the design, 1000")],
 )
 def test_a_robot_configuration_with_another_loop_is_refused(robot, says):
     with pytest.raises(ConfigurationError, match=says):

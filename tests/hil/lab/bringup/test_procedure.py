@@ -84,7 +84,7 @@ def test_no_brake_opens_if_another_drive_cannot_be_locked_out():
     rehearsal = Rehearsal("virtual", "watchdog_missing leg=4")
     rehearsal.run((scan.STEP,))
     why = rehearsal.drives.power(0)
-    assert "legs [4] did not latch" in why
+    assert "legs [4] did not go to FAULT" in why
     assert rehearsal.watched.most_open == 0
     assert DriveState(int(rehearsal.drives.record["drive_state"][0])) == DriveState.OFF
 

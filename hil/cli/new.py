@@ -35,10 +35,13 @@ class _Asked(click.Command):
 @click.argument("file", type=shared.FILE)
 @click.argument("name", required=False)
 @shared.option("--fmu", shared.FILE, None, "Your own co-simulation FMU, instead of the built-in plant.")
+@shared.option("--from source", shared.FILE, "URDF", "Take joints, stroke and masses from a URDF.")
 @shared.flag("--yes", "Ask nothing and take defaults. A question without a default needs its option.")
 @shared.force_option
 @shared.reporting
-def command(file: Path, name: str | None, fmu: Path | None, yes: bool, force: bool, **given: Any) -> None:
+def command(
+    file: Path, name: str | None, fmu: Path | None, source: Path | None, yes: bool, force: bool, **given: Any
+) -> None:
     """Write a configuration of your robot into FILE, from a few figures.
 
     `hil new law NAME` and `hil new protocol NAME` write a package for a law or a drive family of your own
@@ -51,6 +54,7 @@ def command(file: Path, name: str | None, fmu: Path | None, yes: bool, force: bo
     \b
     Examples:
       hil new my.yaml --fmu my_robot.fmu
+      hil new my.yaml --from my_robot.urdf
       hil new my.yaml --drives cubemars --model AK80-9 --travel 0.126
       hil new law soft
 
@@ -68,6 +72,10 @@ def command(file: Path, name: str | None, fmu: Path | None, yes: bool, force: bo
     new_file(file, force=force, option="")
     plant = None if fmu is None else (fmu, recognised(fmu))
     known = {SLOW_PLANT: plant is not None and plant[1].needs_tool}
+    if source is not None:
+        from hil.app.new.urdf import read_urdf
+
+        known |= read_urdf(source)
     answers = known | _answers(QUESTIONS, given, known, ask=not yes)
     text, configuration = new_configuration(answers, file, plant)
     report = inspect(configuration)
@@ -94,7 +102,12 @@ def _answers(
     """Answers to all questions, from options, else from prompts or defaults. Raises ConfigurationError."""
     from drivers.errors import ConfigurationError
 
-    missing = [q.option for q in questions if given[q.key] is None and q.default is None and q.needed(given)]
+    for question in questions:
+        if question.key in known and given[question.key] is not None:
+            raise ConfigurationError(f"{question.option}: the URDF has it; leave it out")
+    questions = tuple(q for q in questions if q.key not in known)
+    so_far = given | known
+    missing = [q.option for q in questions if given[q.key] is None and q.default is None and q.needed(so_far)]
     if missing and not ask:
         raise ConfigurationError(f"hil new --yes: no default for {', '.join(missing)}: give them as options")
     answers = dict(known)
@@ -102,9 +115,8 @@ def _answers(
         answer = given[question.key]
         if not question.needed(answers):
             if answer is not None:
-                raise ConfigurationError(
-                    f"{question.option}: does not apply to drives of {answers['drives']}; leave it out"
-                )
+                source = f"drives of {answers['drives']}" if "drives" in answers else "a URDF"
+                raise ConfigurationError(f"{question.option}: does not apply to {source}; leave it out")
             continue
         default = None if question.default is None else question.default(answers)
         if answer is None and ask:

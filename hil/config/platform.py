@@ -10,9 +10,9 @@ from hil.config.values import (
     LegSpin,
     Matrix3,
     NonNegative,
+    Orientation,
     Pose,
     Positive,
-    RotationVector,
     Six,
     SixVectors,
     Vector3,
@@ -50,20 +50,20 @@ class JointCircle(Section):
         return self
 
 
-class Frame(Section):
+class Frame(Orientation):
     """Coordinate system in the platform frame: x_platform = origin + R x."""
 
     origin_m: Vector3 = (0.0, 0.0, 0.0)
-    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
 
 
-class InertiaReference(Section):
-    """Point and axes of an inertia tensor, if not the centre of mass and the axes of the body's frame."""
+class InertiaReference(Orientation):
+    """Point and axes of an inertia tensor, if not the centre of mass and the axes of the body's frame.
+
+    The rotation leads from the axes of the body's frame to those of the tensor, for example principal axes.
+    """
 
     point_m: Vector3 | None = None
     """Point of the body's frame to which the tensor refers; default: the centre of mass."""
-    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
-    """Rotation from the axes of the body's frame to those of the tensor, for example principal axes."""
 
 
 class BoxShape(Section):

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from drivers.section import Section
-from hil.config.values import Axis, Pose, Positive, RotationVector, Vector3
+from hil.config.values import Axis, Pose, Positive
 
 LONGEST_S = 86_400.0
 """Longest duration without repetition: the whole reference is checked before it runs."""
@@ -42,12 +42,10 @@ class HoldReference(Evaluated):
     """Default: until stopped."""
 
 
-class Waypoint(Section):
+class Waypoint(Pose):
     """One way-point: pose at a time after the start."""
 
     t_s: Moment
-    position_m: Vector3
-    rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
 
 
 class WaypointReference(Evaluated):

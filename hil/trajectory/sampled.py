@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ LEAP = 10.0
 """Ratio of the fastest to the median rate between two rows above which both rows are reported."""
 FEWEST, LEAST_NOISE = 20, 1e-8
 """Fewest rows in which noise is estimated, and the smallest noise that is reported, m or rad."""
+ORDERS, WINDOWS = (4, 7, 10, 16), 5000
+"""Orders of differences in which noise is looked for, and the largest number of places."""
 NOISY = 1.0
 """Share of noise in the second derivative of a spline above which noise is reported."""
 
@@ -38,11 +41,19 @@ def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
     ConfigurationError with every problem as `file:line: ...`: unreadable file, missing column, value not
     finite, times not increasing, or fewer than `at_least` rows.
     """
+    try:
+        return _parsed(path, read_regular(path, MOST_CSV_BYTES), at_least)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error.strerror}.") from error
+
+
+@lru_cache(maxsize=1)
+def _parsed(path: Path, content: bytes, at_least: int) -> tuple[Array, Array]:
+    """Read-only arrays of `read_poses`. The last file is kept: one command builds its path several times."""
     rows: list[list[float]] = []
     problems: list[str] = []
     try:
-        text = read_regular(path, MOST_CSV_BYTES).decode("utf-8-sig")
-        lines = csv.reader(io.StringIO(text, newline=""))
+        lines = csv.reader(io.StringIO(content.decode("utf-8-sig"), newline=""))
         header = [word.strip() for word in next(lines, [])]
         if any(header.count(name) != 1 for name in HEADER):
             given = ",".join(header)[:_QUOTED] or "nothing"
@@ -62,8 +73,6 @@ def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
                 rows.append(row)
                 if problem:
                     problems.append(f"{path}:{lines.line_num}: {problem}")
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error.strerror}.") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error}.") from error
     if len(rows) < at_least:
@@ -71,9 +80,9 @@ def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
     if problems:
         raise ConfigurationError(*problems)
     table = np.array(rows)
-    chi = table[:, 1:].copy()
-    chi[:, 3:] = np.deg2rad(chi[:, 3:])
-    return table[:, 0].copy(), chi
+    table[:, 4:] = np.deg2rad(table[:, 4:])
+    table.flags.writeable = False
+    return table[:, 0], table[:, 1:]
 
 
 def _row(words: list[str], before: float) -> tuple[list[float], str]:
@@ -94,8 +103,9 @@ def _row(words: list[str], before: float) -> tuple[list[float], str]:
 def roughness(t: Array, chi: Array) -> str:
     """Warning if a spline through rows t (n,) s, chi (n, 6) m, rad overshoots or amplifies noise; else "".
 
-    Noise: white noise of deviation sigma has fourth differences of deviation sqrt(70) sigma, and in the
-    second derivative of a cubic spline, at distances h, 6 sigma / h^2.
+    Noise: the least of the scaled differences of several orders (`_differences`). Those of a smooth motion
+    fall with the order, those of white noise stay at its deviation sigma. In the second derivative of a cubic
+    spline, at distances h, the noise is 6 sigma / h^2.
     """
     h = np.diff(t)
     rates = np.abs(np.diff(chi, axis=0)) / h[:, None]
@@ -110,8 +120,9 @@ def roughness(t: Array, chi: Array) -> str:
     if len(t) < FEWEST:
         return ""
     step = float(np.median(h))
-    sigma = np.median(np.abs(np.diff(chi, 4, axis=0)), axis=0) / (0.6745 * math.sqrt(70.0))
-    bends = np.sqrt((np.diff(chi, 2, axis=0) ** 2).mean(axis=0))
+    found = [np.abs(_differences(t, chi, order)) for order in (2, *ORDERS) if 2 * order <= len(t)]
+    sigma = np.min([np.median(each, axis=0) for each in found[1:]], axis=0) / 0.6745
+    bends = np.sqrt(6.0 * (found[0] ** 2).mean(axis=0))
     axis = int(np.argmax(sigma / np.maximum(bends, LEAST_NOISE)))
     if 6.0 * sigma[axis] < NOISY * bends[axis] or sigma[axis] < LEAST_NOISE:
         return ""
@@ -122,6 +133,18 @@ def roughness(t: Array, chi: Array) -> str:
         f"{bent:.2g} {unit}/s^2 in the second derivative of the spline, and so force: smooth the rows, or "
         "use fewer rows"
     )
+
+
+def _differences(t: Array, chi: Array, order: int) -> Array:
+    """Divided differences (m, 6) at up to WINDOWS places, scaled: that of white noise keeps its deviation.
+
+    sum_j w_j chi_j / |w|, w_j = prod_k 1 / (t_j - t_k), k != j, over `order` + 1 rows in turn.
+    """
+    last = len(t) - 1 - order
+    rows = np.linspace(0, last, min(last + 1, WINDOWS)).astype(int)[:, None] + np.arange(order + 1)
+    x = (t[rows] - t[rows[:, :1]]) * (order / (t[rows[:, -1:]] - t[rows[:, :1]]))
+    w = 1.0 / (x[:, :, None] - x[:, None, :] + np.eye(order + 1)).prod(axis=2)
+    return np.asarray(np.einsum("mj,mja->ma", w / np.linalg.norm(w, axis=1)[:, None], chi[rows]), np.float64)
 
 
 def clamped_slopes(t: Array, y: Array) -> Array:

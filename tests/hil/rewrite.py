@@ -38,13 +38,15 @@ def rewrite_log(
     *,
     sequence=lambda topic, number: number,
     log_time_order=False,
+    order=iter,
+    attached=0,
     end=None,
     **options,
 ):
     """Copy `src` to `dst`; `edit(topic, data, sequence)` gives the new data, or None to drop a message.
 
-    `sequence(topic, number)` is the new number of a message; `end` changes the summary of the run; `options`
-    go to mcap.writer.Writer (compression, chunk_size, use_chunking).
+    `sequence(topic, number)` is the new number of a message; `order(messages)` sorts them; `attached` is the
+    size of a foreign attachment; `end` changes the summary of the run; `options` go to mcap.writer.Writer (compression, chunk_size, use_chunking).
     """
     with Path(src).open("rb") as source, Path(dst).open("xb") as target:
         reader = make_reader(source, validate_crcs=True)
@@ -52,11 +54,13 @@ def rewrite_log(
         writer.start()
         for item in reader.iter_attachments():
             writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
+        if attached:
+            writer.add_attachment(0, 0, "video.mp4", "video/mp4", bytes(attached))
         for record in reader.iter_metadata():
             changes = (end or {}) if record.name == "summary" else {}
             writer.add_metadata(record.name, record.metadata | changes)
         schemas, channels = {}, {}
-        for schema, channel, message in reader.iter_messages(log_time_order=log_time_order):
+        for schema, channel, message in order(reader.iter_messages(log_time_order=log_time_order)):
             assert schema is not None
             if channel.id not in channels:
                 schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)

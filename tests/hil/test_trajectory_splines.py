@@ -1,5 +1,6 @@
 """Splines: minimum jerk and CSV files against SciPy, and errors of a CSV file with their lines."""
 
+import os
 import re
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from drivers.errors import ConfigurationError
 from hil.config.reference import SampledReference, WaypointReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.sampled import roughness
+from hil.trajectory.sampled import read_poses, roughness
 
 DATA = Path(__file__).parent.parent / "data"
 HOME = Pose(position_m=(0, 0, 1))
@@ -121,6 +122,20 @@ def test_columns_are_found_by_name_and_rows_of_commas_are_skipped(tmp_path):
         np.testing.assert_array_equal(a, b)
 
 
+def test_a_file_is_parsed_once_while_its_content_stays(tmp_path):
+    """240,000 rows take seconds, and one command builds its path three times; size and times may stay."""
+    path = tmp_path / "path.csv"
+    path.write_text(HEADER + ROWS)
+    t, chi = read_poses(path, at_least=2)
+    assert read_poses(path, at_least=2)[1] is chi
+    stamp = path.stat().st_mtime_ns
+    path.write_text((HEADER + ROWS).replace("0.1", "0.2"))
+    os.utime(path, ns=(stamp, stamp))
+    assert not np.array_equal(read_poses(path, at_least=2)[1], chi)
+    with pytest.raises(ValueError, match="read-only"):
+        t[0] = 1.0
+
+
 def test_rough_rows_are_explained_and_smooth_ones_are_not():
     """Two rows 1 us and 2 mm apart; white noise of 2 um at 1 ms: 6 x 2e-6 / 1e-6 = 12 m/s^2."""
     t: Array = np.linspace(0.0, 3.999, 4000)
@@ -134,6 +149,19 @@ def test_rough_rows_are_explained_and_smooth_ones_are_not():
     rows = np.zeros((5, 6))
     rows[1:3, 0] = 0.005, 0.007
     assert "rows 2 and 3 are 1 us and, along x_m, 2 mm apart" in roughness(close, rows)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.2], ids=["even", "uneven"])
+@pytest.mark.parametrize("rows_a_period", [3.5, 4.0, 6.0, 10.0, 50.0, 500.0])
+def test_clean_sines_are_not_noise_and_white_noise_is_found(rows_a_period, jitter):
+    """A sine of 10 mm at 0.1 Hz, in rows of some ms to some s; white noise of 1 mm, 0.1 of the amplitude."""
+    rng, h = np.random.default_rng(3), 10.0 / rows_a_period
+    t = h * (np.arange(600) + rng.uniform(-jitter, jitter, 600))
+    chi = 0.01 * np.sin(2 * np.pi * 0.1 * t)[:, None] * np.eye(6)[2]
+    assert roughness(t, chi) == ""
+    told = roughness(t, chi + rng.normal(0, 1e-3, (600, 1)) * np.eye(6)[2])
+    found = re.search(r"z_m has noise of about (\S+) m", told)
+    assert (rows_a_period < 10) or (found and 0.7e-3 < float(found[1]) < 1.3e-3), told
 
 
 def test_all_invalid_lines_are_listed_by_line_number(tmp_path):

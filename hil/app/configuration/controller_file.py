@@ -20,6 +20,9 @@ ROUNDING = 1e-9
 """Tolerance above 1 for the pole of an integrator."""
 TOGETHER = 1e-6
 """Distance from 1 of poles that count as integrators: rounding splits a double pole by some 1e-8."""
+APART = 1e-3
+"""Least singular value of the eigenvectors of separate integrators; those of a double pole are parallel to
+its splitting by rounding."""
 
 
 def controller_path(settings: StateSpaceSettings, folder: Path) -> Path:
@@ -36,12 +39,13 @@ def read_controller(path: Path) -> LinearController:
     """
     controller, document = read_section(path, LinearController)
     # poles of the sampled controller; a controller without states has none
-    poles = np.linalg.eigvals(np.array(controller.A, float)) if controller.A else np.zeros(1)
+    poles, vectors = np.linalg.eig(np.array(controller.A, float) if controller.A else np.zeros((1, 1)))
     radius = float(np.abs(poles).max())
-    if np.count_nonzero(np.abs(poles - 1.0) < TOGETHER) > 1:
+    own = vectors[:, np.abs(poles - 1.0) < TOGETHER]
+    if np.linalg.matrix_rank(own, tol=APART) < own.shape[1]:
         message = (
-            "the sampled controller integrates twice, so that its state may grow without bound, allowed: one "
-            f"pole within {TOGETHER:g} of 1; design with another weight"
+            "the sampled controller integrates twice in series, so that its state may grow without bound, "
+            f"allowed: poles within {TOGETHER:g} of 1 only in parallel; design with another weight"
         )
         raise ConfigurationError(Problem(document.value_position(("A",)), ("A",), message).line(str(path)))
     if radius > 1.0 + ROUNDING and controller.design.get("unstable_controller") is not True:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
+from math import hypot, isfinite
 from typing import Any, NamedTuple
 
 import click
@@ -13,8 +13,10 @@ from hil.app.new import derive, drives
 from hil.app.new.robot import (
     ESTIMATE,
     HOLD_SHARE,
+    MOUNTINGS,
     WORST_CONDITION,
     Answers,
+    STRONGEST_m_s2,
     condition_at_home,
     joints_apart_m,
     robot_at_home,
@@ -49,6 +51,22 @@ def moments(text: str) -> str | list[float]:
         found = []
     if len(found) != 3 or not all(isfinite(each) and each > 0.0 for each in found):
         raise click.BadParameter(f"allowed: three numbers above 0 with commas, or {ESTIMATE}, given: {text}")
+    return found
+
+
+def mounting(text: str) -> str | list[float]:
+    """A word of MOUNTINGS, or gravity (3,) m/s^2, base frame. Raises click.BadParameter for other text."""
+    if text in MOUNTINGS:
+        return text
+    try:
+        found = [rounded(float(word), DIGITS) for word in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != 3 or not hypot(*found) <= STRONGEST_m_s2:
+        allowed = (
+            f"{', '.join(MOUNTINGS)}, or gravity as three numbers with commas, up to {STRONGEST_m_s2:g} m/s^2"
+        )
+        raise click.BadParameter(f"allowed: {allowed}, given: {text}")
     return found
 
 
@@ -142,33 +160,40 @@ def _layout(a: Answers) -> str | None:
     return only if drives.bought(a) and a["layout"] != own else None
 
 
+def _circles(a: Answers) -> bool:
+    return "base_joints_m" not in a
+
+
 def _one_of(*names: str) -> click.Choice[str]:
     return click.Choice(names, case_sensitive=False)
 
 
 QUESTIONS: tuple[Question, ...] = (
-    Question("base_radius_m", "radius of the circle of base joints", Figure("m", 1e-3, 100.0)),
+    Question(
+        "base_radius_m", "radius of the circle of base joints", Figure("m", 1e-3, 100.0), needed=_circles
+    ),
     Question("platform_radius_m", "radius of the circle of platform joints", Figure("m", 1e-3, 100.0)),
     Question(
         "base_half_angle_deg", "half the angle between a pair's joints on the base, pairs at 0, 120, 240 deg",
-        Figure("deg", 0.0, 59.0), lambda _: 10.0,
+        Figure("deg", 0.0, 59.0), lambda _: 10.0, needed=_circles,
     ),
     Question(
         "platform_half_angle_deg", "the same angle on the platform, pairs at 60, 180, 300 deg",
-        Figure("deg", 0.0, 59.0), lambda _: 10.0,
+        Figure("deg", 0.0, 59.0), lambda _: 10.0, needed=_circles,
     ),
     Question(
         "length_min_m", "length of a retracted leg, joint centre to joint centre", Figure("m", 1e-3, 100.0)
     ),
     Question("stroke_m", "stroke of a leg", Figure("m", 1e-4, 100.0), trouble=_stroke),
     Question(
-        "mounting", "does the platform stand on the base or hang below it", _one_of("standing", "hanging"),
-        lambda _: "standing",
+        "mounting",
+        f"base on the floor, a wall (-x down) or the ceiling: {', '.join(MOUNTINGS)}; or gravity as x,y,z",
+        mounting, lambda _: "standing",
     ),
     Question("mass_kg", "mass of platform and all that is fixed to it", Figure("kg", 1e-3, 1e6)),
     Question(
         "com_height_m", "its centre of mass above the platform joints, away from the base",
-        Figure("m", -100.0, 100.0), lambda _: 0.0,
+        Figure("m", -100.0, 100.0), lambda _: 0.0, needed=lambda a: "com_m" not in a,
     ),
     Question(
         "inertia_kg_m2", "moments of inertia about its centre of mass, Ixx,Iyy,Izz; 'estimate' is a disc",

@@ -12,17 +12,16 @@ from hil.app.configuration.configuration import Configuration, loads, short_name
 from hil.app.configuration.schema import schema_line
 from hil.app.files import printable
 from hil.app.new import derive
-from hil.app.new.robot import Answers
+from hil.app.new.robot import Answers, home_height_m
 from hil.app.new.template import SECTIONS, filled
 from plant_fmu.fmu.propose import Proposal, propose
 
 FMU_PARAMETERS = {
     "mass": "mass_kg", "com_height": "com_height_m", "base_radius": "base_radius_m",
     "base_half_angle_deg": "base_half_angle_deg", "platform_radius": "platform_radius_m",
-    "platform_half_angle_deg": "platform_half_angle_deg", "home_height": "home_height_m",
-    "gravity_z": "gravity_z",
+    "platform_half_angle_deg": "platform_half_angle_deg",
 }  # fmt: skip
-"""FMU parameter and its value in the template, set where the FMU has it; inertia_x, _y, _z in addition."""
+"""FMU parameter and its value in the template, set where the FMU has it; also gravity_x, inertia_x, to _z."""
 
 
 def new_configuration(
@@ -75,8 +74,18 @@ def _named(fmu: Path, folder: Path) -> str:
 
 
 def _fmu_values(values: dict[str, Any], proposal: Proposal, path: str) -> dict[str, Any]:
-    known = {name: values[key] for name, key in FMU_PARAMETERS.items()}
+    known = {"mass": values["mass_kg"]}
+    if "circles" in values:
+        known = {name: values[key] for name, key in FMU_PARAMETERS.items()}
+        known["home_height"] = home_height_m(values)
     known |= {f"inertia_{axis}": values["inertia"][k][k] for k, axis in enumerate("xyz")}
+    known |= {f"gravity_{axis}": values["gravity"][k] for k, axis in enumerate("xyz")}
+    lost = [name for name in proposal.parameters if name.startswith("gravity_")]
+    if lost == ["gravity_z"] and any(values["gravity"][:2]):
+        raise ConfigurationError(
+            f"{path}: has gravity_z only, but gravity is {values['gravity']} m/s^2 in the base frame: add "
+            "gravity_x and gravity_y to the FMU's parameters, or give --mounting standing or hanging"
+        )
     return {
         "path": path,
         "needs_tool": proposal.needs_tool,

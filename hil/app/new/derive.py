@@ -62,8 +62,9 @@ def values(a: Answers) -> dict[str, Any]:
     speed, room = found["speed_m_s"], 0.8 * found["speed_m_s"]
     length, rate = steps(a, rate_Hz)
     noise, usual, hold = raised(1.5 * rate) if rate else 0.0, OperatorSettings(), 2.0 * pi * HOLD_Hz
+    mounting = a["mounting"] if isinstance(a["mounting"], str) else f"gravity {a['mounting']}"
     return found | {
-        "description": f"{a['mass_kg']:g} kg, {a['mounting']}, six legs of {a['stroke_m']:g} m stroke.",
+        "description": f"{a['mass_kg']:g} kg, {mounting}, six legs of {a['stroke_m']:g} m stroke.",
         "wn_rad_s": wn_rad_s(rate_Hz),
         "length_noise_m": rounded(2.0 * length),
         "rate_noise_m_s": noise if noise > MonitorSettings().rate_noise_m_s else None,

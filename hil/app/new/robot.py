@@ -25,7 +25,9 @@ WORST_CONDITION = 25.0
 """Largest condition number of J at home: half of the default of limits.condition."""
 LOWER_SHARE = 0.7
 """Share of a leg's mass that does not move with the rod: housing, motor, brake, screw."""
-GRAVITY_m_s2 = 9.81
+MOUNTINGS = {"standing": [0.0, 0.0, -9.81], "wall": [-9.81, 0.0, 0.0], "hanging": [0.0, 0.0, 9.81]}
+"""Word -> gravity (3,) m/s^2 in the base frame, whose z points from the base to the platform."""
+STRONGEST_m_s2 = 100.0
 _NOT_ASKED: Answers = {
     "mounting": "standing", "mass_kg": 1.0, "com_height_m": 0.0, "inertia_kg_m2": ESTIMATE,
     "leg_mass_kg": 0.0, "reflected_mass_kg": 0.0,
@@ -68,23 +70,45 @@ def platform_values(a: Answers) -> dict[str, Any]:
     I = m l^2 / 12.
     """
     a = _NOT_ASKED | a
-    across = rounded(a["mass_kg"] * a["platform_radius_m"] ** 2 / 4, DIGITS - 1)
     estimated = a["inertia_kg_m2"] == ESTIMATE
-    length, q = a["length_min_m"], a["length_min_m"] + a["stroke_m"] / 2
-    cylinder, rod = LOWER_SHARE * a["leg_mass_kg"], (1.0 - LOWER_SHARE) * a["leg_mass_kg"]
     return {
+        **({"circles": True} if "base_joints_m" not in a else {}),
+        "com_m": [0.0, 0.0, a["com_height_m"]],
+        **({"guessed": True} | _guessed_legs(a) if "cylinder_kg" not in a else {"weighed": True}),
+        **({"home": {"position_m": [0.0, 0.0, home_height_m(a)]}} if "home" not in a else {}),
         **a,
         "estimated": estimated,
         "stated": not estimated,
-        "inertia": np.diag([across, across, 2 * across] if estimated else a["inertia_kg_m2"]).tolist(),
+        "inertia": _tensor(a),
+        "gravity": MOUNTINGS[a["mounting"]] if isinstance(a["mounting"], str) else a["mounting"],
+        "length_max_m": a["length_min_m"] + a["stroke_m"],
+    }
+
+
+def home_height_m(a: Answers) -> float:
+    """Height of the platform with all legs at mid-stroke, for joints on circles."""
+    q = a["length_min_m"] + a["stroke_m"] / 2
+    return sqrt(q * q - joints_apart_m(a) ** 2)  # below the retracted length: `_stroke`
+
+
+def _tensor(a: Answers) -> Any:
+    I = a["inertia_kg_m2"]
+    if I == ESTIMATE:
+        across = rounded(a["mass_kg"] * a["platform_radius_m"] ** 2 / 4, DIGITS - 1)
+        I = [across, across, 2 * across]
+    return np.diag(I).tolist() if np.ndim(I) == 1 else I
+
+
+def _guessed_legs(a: Answers) -> Answers:
+    length, cylinder = a["length_min_m"], LOWER_SHARE * a["leg_mass_kg"]
+    rod = (1.0 - LOWER_SHARE) * a["leg_mass_kg"]
+    return {
         "cylinder_kg": cylinder,
+        "cylinder_com": length / 2,
         "cylinder_inertia": cylinder * length * length / 12,
         "rod_kg": rod,
+        "rod_com": length / 2,
         "rod_inertia": rod * length * length / 12,
-        "half_length_m": length / 2,
-        "gravity_z": -GRAVITY_m_s2 if a["mounting"] == "standing" else GRAVITY_m_s2,
-        "home_height_m": sqrt(q * q - joints_apart_m(a) ** 2),  # below the retracted length: `_stroke`
-        "length_max_m": length + a["stroke_m"],
     }
 
 

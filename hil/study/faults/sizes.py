@@ -107,8 +107,8 @@ SIZES: dict[str, Size] = {
 def size_of(kind: str, r: Robot, leg: int, chance: Chance | None) -> dict[str, Any]:
     """Keys of an injected fault's size; values drawn with `chance` have four digits, exact in its text."""
     found: dict[str, Any] = {"rate_Hz": r.c.loop.rate_Hz} if kind == "bus_second_controller" else {}
-    if kind == "wrench_step":  # from above, or from any direction
-        force = np.array([0.0, 0.0, -0.25 * r.weight_N])
+    if kind == "wrench_step":  # along gravity, or in any direction
+        force = 0.25 * r.c.platform.platform.mass_kg * np.array(r.c.platform.gravity_m_s2)
         if chance is not None:
             way = chance.standard_normal(3)
             force = way / np.linalg.norm(way) * r.weight_N * _log(chance, 0.02, 0.25)

@@ -50,12 +50,28 @@ WRONG = {
 }
 
 
-def test_controller_that_integrates_twice_is_refused(tmp_path):
-    """Powers of [[1, 1], [0, 1]] grow without bound, though both poles are 1."""
-    text = re.sub(r"\nA: .*", "\nA: [[1, 1], [0, 1]]", GOOD.read_text())
-    (tmp_path / "mine.yaml").write_text(text)
-    with pytest.raises(ConfigurationError, match="integrates twice"):
-        read_controller(tmp_path / "mine.yaml")
+def with_states(folder, A):
+    """The controller with other states: (n, n), each driven by both errors."""
+    n, text = len(A), GOOD.read_text()
+    for key, value in {"A": A, "B": [[1, 1]] * n, "C": [[1] * n], "anti_windup": [0] * n}.items():
+        text, count = re.subn(rf"\n{key}: .*", f"\n{key}: {value}", text)
+        assert count == 1
+    (folder / "mine.yaml").write_text(text)
+    return read_controller(folder / "mine.yaml")
+
+
+@pytest.mark.parametrize(
+    "turned", [np.eye(3), np.array([[2, 1, 0], [-1, 3, 1], [0.5, 0, 1]])], ids=["", "turned"]
+)
+@pytest.mark.parametrize("chain", [1.0, 1e-3, 0.0])
+def test_controller_integrates_twice_in_parallel_but_not_in_series(chain, turned, tmp_path):
+    """Powers of [[1, c], [0, 1]] grow without bound, though both poles are 1; those of [[1, 0], [0, 1]] do not."""
+    A = turned @ np.array([[1, chain, 0], [0, 1, 0], [0, 0, 0.5]]) @ np.linalg.inv(turned)
+    if chain:
+        with pytest.raises(ConfigurationError, match="integrates twice"):
+            with_states(tmp_path, A.tolist())
+    else:
+        assert len(with_states(tmp_path, A.tolist()).A) == 3
 
 
 @pytest.mark.parametrize("old", WRONG)

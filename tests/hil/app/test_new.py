@@ -10,14 +10,18 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import joint_list
 from hil.app.configuration.schema import named_schema, schema_path
 from hil.app.new import derive
 from hil.app.new.answers import QUESTIONS
+from hil.app.new.command import new_configuration
 from hil.app.new.robot import robot_at_home
 from hil.app.sim.command import simulate
 from hil.cli import main
+from plant_fmu.fmu.propose import Proposal
 from tests.broad import broad
 
 ROBOTS = {
@@ -88,6 +92,35 @@ def test_new_robot_tracks_its_path_parks_and_replays(name, tmp_path):
     assert summary["tracking"]["peak_leg_error_mm"] < stroke  # a thousandth of it
 
 
+MOUNTED = {
+    "wall": [-9.81, 0, 0],
+    "hanging": [0, 0, 9.81],
+    "standing": [0, 0, -9.81],
+    "0,6.937,-6.937": [0, 6.937, -6.937],
+}
+
+
+@pytest.mark.parametrize("mounting", MOUNTED)
+def test_new_robot_carries_itself_in_its_mounting(mounting, tmp_path):
+    """The sum of the leg forces along gravity is the weight of the platform and the share of the legs at it."""
+    path, gravity = tmp_path / "r.yaml", np.array(MOUNTED[mounting])
+    done = new(path, ROBOTS["table"], "--mounting", mounting, "--leg-mass", "0")
+    assert done.exit_code == 0, done.output
+    home = inspect(load(path)).figures["home"]
+    c = load(path).platform
+    a, b = (np.array(joint_list(joints)) for joints in (c.base_joints_m, c.platform_joints_m))
+    legs = b + np.array(c.home.position_m) - a
+    along = np.array(home["static_forces_N"]) @ (legs / np.linalg.norm(legs, axis=1)[:, None])
+    np.testing.assert_allclose(along, -42 * gravity, rtol=1e-6, atol=1e-6)
+
+
+def test_new_robot_on_a_wall_needs_an_fmu_with_gravity_in_each_direction(tmp_path):
+    proposal = Proposal("x", "3.0", False, {}, {}, ("mass", "gravity_z"))
+    answers = answered() | {"mounting": "wall"}
+    with pytest.raises(ConfigurationError, match="gravity_x"):
+        new_configuration(answers, tmp_path / "r.yaml", (tmp_path / "r.fmu", proposal))
+
+
 LIGHT = (
     "--mounting hanging --base-radius 0.2 --platform-radius 0.12 --length-min 0.3 --stroke 0.12 --mass 5 "
     "--leg-mass 0.5 --drive-force 200 --drive-speed 0.3 --drives cubemars --model AK80-9"
@@ -103,6 +136,8 @@ LIGHT = (
         ("--drive-force 100", "--drive-force: a leg carries"),
         ("--brake-force 50", "--brake-force: a leg carries"),
         ("--inertia 1,1,9", "--inertia: "),
+        ("--mounting sideways", "allowed: standing, wall, hanging, or gravity as three numbers"),
+        ("--mounting 0,0,nan", "allowed: standing, wall, hanging, or gravity as three numbers"),
         ("--inertia 1,1", "'--inertia': allowed: three numbers"),
         ("--encoder-resolution 1e-3", "--encoder-resolution: less than 1000 counts"),
         ("--drive-speed 20", "--drive-speed: the whole stroke in less than 20 ms"),

@@ -16,6 +16,7 @@ from hil.study.faults import case_run
 from hil.study.faults.case_run import Job, run_case
 from hil.study.faults.cases import cases
 from hil.study.faults.diagnoses import PLANT_FAILS
+from hil.study.faults.sizes import robot_of, size_of
 from hil.study.faults.verdict import Bounds
 from tests.hil.lab.bringup.families import family
 
@@ -134,3 +135,9 @@ def test_drives_that_a_forged_command_enables_again_fail(name, stands):
     assert found["faults"] == ["SECOND_CONTROLLER"]
     assert found["success"] is stands, found["verdict"]
     assert ("obey commands of any sender" in found["verdict"]) is not stands
+
+
+def test_usual_step_of_force_acts_along_gravity():
+    """A quarter of the weight of 10 kg on a wall: 24.525 N."""
+    c = loads(with_changes(load("desktop").text, {"platform": {"gravity_m_s2": [-9.81, 0, 0]}}), "wall.yaml")
+    assert size_of("wrench_step", robot_of(c), 0, None)["force_N"] == pytest.approx((-24.525, 0, 0))

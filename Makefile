@@ -8,10 +8,11 @@ PYTEST_FLAGS ?=
 FUZZ_FLAGS ?=
 SOAK_FLAGS ?=
 MUTANTS_FLAGS ?=
+CLAIMS_FLAGS ?=
 # if it is set, each of some hundred test processes compiles the project again
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test long fuzz mutants soak lint bench docs format lock clean venv fmu kernels viewers
+.PHONY: help run test long fuzz mutants soak lint bench claims docs format lock clean venv fmu kernels viewers
 
 help:  ## list the targets
 	@echo "make TARGET, where TARGET is"
@@ -45,6 +46,10 @@ lint: venv  ## import contracts, ruff, mypy
 
 bench: fmu  ## benchmark: computing time per tick, wake-up, latency, recorder, replay, FMU
 	@exec $(BIN)/python -m tools.benchmarks
+
+claims: fmu  ## measure the figures of README and docs again (docs/claims.yaml), and 200 disturbances and timings of each law
+	@$(BIN)/python -m tools.claims $(CLAIMS_FLAGS)
+	@PREMISES=200 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 -m "long or not long" -o faulthandler_timeout=1500 tests/loop/test_timing_premises.py
 
 docs: fmu  ## build the documentation, build/docs/index.html; a warning is an error
 	@$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs

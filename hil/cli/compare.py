@@ -34,6 +34,7 @@ FOLDER = click.Path(path_type=Path)
 @shared.option("--wrench", (shared.FiniteRange(),) * 6, "FX FY FZ MX MY MZ", WRENCH)
 @shared.option("--wrench-at", shared.NOT_NEGATIVE, "S", WRENCH_AT)
 @shared.flag("--lift-limits", "Run without the limits of tracking error, force change and speed.")
+@shared.flag("--equal-crossover equal", "Scale the gains of all laws to one crossover.")
 @shared.jobs_option
 @shared.option("--picture", FOLDER, "FILE", "PNG file, or a folder for it; an earlier picture is replaced.")
 @shared.reporting
@@ -41,9 +42,10 @@ def command(configuration: str, **options: Any) -> None:
     """Run all control laws on the platform, path, bus and drives of CONFIGURATION, in simulated time.
 
     Each law follows the reference and a step of 1 mm at home, with gains for the natural frequency and
-    damping of the configuration's own law. Prints errors, forces, step response, bandwidth, the error
-    added by encoders, bus time and drive lag, and the claims of the control chapter. The picture goes to
-    --picture, else to runs/NAME-compare-TIME.png (recording.folder).
+    damping of the configuration's own law, or for the crossover of the first law with fixed gains, else of
+    the first law (--equal-crossover). Prints crossover, delay margin, gains, errors, forces, step response,
+    bandwidth, the error added by encoders, bus time and drive lag, and the claims of the control chapter. The
+    picture goes to --picture, else to runs/NAME-compare-TIME.png (recording.folder).
 
     \b
     Examples:

@@ -28,6 +28,12 @@ class CartesianPDSettings(LawSettings):
     """PD control of the platform's position and rotation; forward kinematics gives the measured pose."""
 
     uncertified = "its energy function decreases only for a reference at rest; in motion it may grow"
+    knob = {
+        "kp_position_N_m": 2,
+        "kv_position_N_s_m": 1,
+        "kp_rotation_N_m_rad": 2,
+        "kv_rotation_N_m_s_rad": 1,
+    }
     law: Literal["cartesian_pd"]
     kp_position_N_m: Positive | ThreePositive
     """Gains: one number for all three axes of the base frame, or one per axis."""

@@ -112,6 +112,8 @@ class LawSettings(Section):
     """Reason why no Lyapunov function with constant gains is known for the law."""
     tuning: ClassVar[tuple[str, str]] = ("wn_rad_s", "lower it")
     """Keys that set the gains, and the advice for a phase margin that is too small."""
+    knob: ClassVar[dict[str, int]] = {}
+    """Keys of the gains, with the power of a factor on the bandwidth that scales each; empty: fixed gains."""
 
     def build(self, context: LawContext) -> Law:
         """Build the control law. Raises ConfigurationError if it cannot run on this robot or at this rate."""
@@ -172,6 +174,7 @@ class ErrorGains(LawSettings):
     """Settings of a law that linearises the robot: its error dynamics e'' + K_D e' + K_P e = 0."""
 
     axes: ClassVar[AxisSpace] = "joint"
+    knob = {"wn_rad_s": 1}
     wn_rad_s: Positive | SixPositive
     """Natural frequency, K_P = wn^2: one for all axes, or one each (legs, or x, y, z and rotations about
     them)."""

@@ -20,6 +20,7 @@ GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("m", "<f8", 6)])
 class LegGains(LawSettings):
     """Settings: gains of PD control on leg lengths."""
 
+    knob = {"kp_N_m": 2, "kv_N_s_m": 1}
     kp_N_m: Positive | SixPositive
     """Gain: one for all legs, or one per leg."""
     kv_N_s_m: Positive | SixPositive

@@ -23,6 +23,7 @@ class PIDSettings(DriveGains):
     """Decentralised PID on leg lengths with anti-windup."""
 
     uncertified = "its error dynamics change with the pose of the platform, and its integral is not measured"
+    knob = {**DriveGains.knob, "ki_N_m_s": 3, "tracking_time_s": -1}
     law: Literal["pid"]
     ki_N_m_s: Positive | SixPositive
     """Integral gain, force per error and second; one for all legs, or one per leg."""

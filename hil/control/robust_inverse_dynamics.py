@@ -44,6 +44,7 @@ class RobustInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
     """Inverse dynamics with an outer loop that is robust to bounded uncertainty (Lyapunov redesign)."""
 
     tuning = ("wn_rad_s and boundary_layer_m_s", "reduce wn, increase the layer,")
+    knob = {"wn_rad_s": 1, "boundary_layer_m_s": -1}
     law: Literal["robust_inverse_dynamics"]
     uncertainty: UncertaintySettings
     boundary_layer_m_s: NonNegative

@@ -39,6 +39,7 @@ class SlidingModeSettings(ModelBasedSettings):
 
     axes = "joint"
     tuning = ("lambda_rad_s and boundary_layer_m_s", "reduce lambda, increase the layer,")
+    knob = {"lambda_rad_s": 1, "boundary_layer_m_s": -1}
     law: Literal["sliding_mode"]
     lambda_rad_s: Positive
     """Slope of the sliding surface; on the surface an error decays as exp(-lambda t)."""

@@ -2,11 +2,14 @@
 
 Within the premises are disturbances, commands that arrive late but before the next SYNC, and feedback that is
 late or lost for fewer ticks than `limits.stale_warn_ticks`. Outside the premises a run warns before its error
-exceeds the bound. Each law runs with the observer of the wrench and without it.
+exceeds the bound. Each law with a bound runs with the observer of the wrench and without it.
+
+Each case draws 20 disturbances and 20 timings. `make claims` sets PREMISES=200: all cases with ten seeds.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from math import ceil
 from typing import Any
@@ -27,6 +30,8 @@ from plant_fmu.faults.kinds import FramesDelay, FramesLoss, WrenchStep
 from tests.broad import broad
 from tests.loop.bench import changed, run, succeeded
 
+COUNT = 20
+SEEDS = range(11, 11 + max(1, int(os.environ.get("PREMISES", "20")) // COUNT))
 FORCE_N = 2000.0
 BEGINS_s = 2.5
 """Time after power-up at which tracking has begun."""
@@ -47,6 +52,11 @@ LAWS: dict[str, dict[str, Any]] = {
         "law": "robust_inverse_dynamics", "wn_rad_s": 60, "boundary_layer_m_s": 0.3,
         "uncertainty": {"disturbance_m_s2": 4},
     },
+    "sliding": {
+        "law": "sliding_mode", "lambda_rad_s": 40, "reaching_m_s2": 4, "uncertainty": {"disturbance_m_s2": 4},
+    },
+    "hinf": {"law": "state_space", "controller_file": "hinf"},
+    "mu": {"law": "state_space", "controller_file": "mu"},
 }  # fmt: skip
 OBSERVER = {"source": "observer", "bandwidth_Hz": 15}
 
@@ -97,34 +107,42 @@ def late_commands(draw: np.random.Generator, count: int) -> Iterator[FramesDelay
 
 
 CASES = [(name, observes) for name in LAWS for observes in (False, True)]
+COUNTED = [
+    (name, observes)
+    for name, observes in CASES
+    if "uncertainty" not in LAWS[name] and not (observes and name in {"pose", "hinf"})
+]
+"""Laws with a bound that includes feedback one tick old; those left out have none."""
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("name", "observes"), CASES)
-def test_no_timing_within_the_premises_exceeds_the_printed_bound(name, observes):
-    """20 disturbances and 20 timings of the commands of each law."""
-    draw = np.random.default_rng(11)
-    pushes = list(disturbances(draw, 20))
+def test_no_timing_within_the_premises_exceeds_the_printed_bound(name, observes, seed):
+    """As many disturbances as timings of the commands, one after the other."""
+    draw = np.random.default_rng(seed)
+    pushes = list(disturbances(draw, COUNT))
     lasts_s = pushes[-1].at_s + 1.0
     c = configured(LAWS[name], observes=observes, lasts_s=lasts_s)
     stated = Stated() if "uncertainty" in LAWS[name] else Stated(Load(FORCE_N))
     bound = bound_of(judge(c, stated))
-    rows = succeeded(c, *pushes, *late_commands(draw, 20)).tracking
+    rows = succeeded(c, *pushes, *late_commands(draw, COUNT)).tracking
     worst = np.abs(errors(c, rows)).max(axis=0)
     assert not (rows["warnings"] & Warn.STALE).any()
     assert (worst <= bound).all(), (worst / bound).max()
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "observes"), CASES[:4])
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize(("name", "observes"), COUNTED)
 @pytest.mark.parametrize("lost", [False, True])
-def test_old_feedback_of_the_stated_age_stays_within_its_bound(name, observes, lost):
+def test_old_feedback_of_the_stated_age_stays_within_its_bound(name, observes, lost, seed):
     """With limits.stale_warn_ticks 2 the feedback of each leg may be one tick old."""
-    draw = np.random.default_rng(5)
-    c = configured(LAWS[name], observes=observes, warn=2, lasts_s=8.0)
+    draw = np.random.default_rng(seed)
+    c = configured(LAWS[name], observes=observes, warn=2, lasts_s=BEGINS_s + 0.25 * COUNT + 0.5)
     bound = bound_of(judge(c))
     faults: list[Fault] = []
-    for n in range(20):
+    for n in range(COUNT):
         legs = draw.choice(list(FEEDBACK), size=int(draw.integers(1, 7)), replace=False)
         begins = BEGINS_s + 0.25 * n
         for leg in map(int, legs):
@@ -142,15 +160,36 @@ def test_old_feedback_of_the_stated_age_stays_within_its_bound(name, observes, l
     assert (worst <= bound).all(), (worst / bound).max()
 
 
+EPISODE_s, APART_s = 0.15, 0.5
+
+
+def untimely_feedback(draw: np.random.Generator, count: int) -> Iterator[Fault]:
+    """Yield feedback of some legs that is late, jitters or is lost, with rests between; the last ends the run."""
+    for n in range(count - 1):
+        at_s, kind = BEGINS_s + APART_s * n, draw.integers(3)
+        for leg in map(int, draw.choice(list(FEEDBACK), size=int(draw.integers(1, 7)), replace=False)):
+            if kind == 0:  # below limits.stale_fault_ticks
+                yield FramesLoss(at_s=at_s, for_s=1e-3 * float(draw.integers(1, 4)), identifier=leg)
+            else:
+                chance = float(draw.uniform(0.3, 1.0)) if kind == 1 else 1.0
+                by_ms = float(draw.uniform(0.3, 0.9))
+                yield FramesDelay(at_s=at_s, by_ms=by_ms, for_s=EPISODE_s, probability=chance, identifier=leg)
+    yield FramesDelay(at_s=BEGINS_s + APART_s * (count - 1), by_ms=2.0, for_s=EPISODE_s)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("name", "observes"), broad(CASES, 1))
-@pytest.mark.parametrize("by_ms", broad([0.1, 2.0], 1))
-def test_late_feedback_warns_before_the_error_exceeds_the_bound(name, observes, by_ms):
-    c = configured(LAWS[name], observes=observes, lasts_s=2.0)
+def test_late_feedback_warns_before_the_error_exceeds_the_bound(name, observes, seed):
+    c = configured(LAWS[name], observes=observes, lasts_s=BEGINS_s + APART_s * COUNT)
     bound = bound_of(judge(c))
-    ran = run(c, FramesDelay(at_s=2.0, by_ms=by_ms, for_s=1.0))
+    ran = run(c, *untimely_feedback(np.random.default_rng(seed), COUNT))
     rows = ran.tracking
-    exceeds = (np.abs(errors(c, rows)) > bound).any(axis=1)
+    exceeds = np.asarray((np.abs(errors(c, rows)) > bound).any(axis=1))
     warned = (rows["warnings"] & Warn.STALE) > 0
-    assert warned.any()
-    assert not exceeds.any() or np.argmax(warned) <= np.argmax(exceeds)
-    assert "late" in ran.summary["certificate"]["without_its_premise"]
+    assert warned.sum() > COUNT
+    for n in range(COUNT):
+        episode = slice(*np.searchsorted(rows["tick"], 1e3 * (BEGINS_s + APART_s * (n + np.arange(2)))))
+        for first in np.flatnonzero(exceeds[episode])[:1]:
+            assert warned[episode][: first + 1].any(), n
+    if certificate := ran.summary.get("certificate"):
+        assert "late" in certificate["without_its_premise"]

@@ -37,7 +37,8 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     if not judged.slowest.stable:
         return Assessment("unstable", unstable(subject, judged.slowest.largest), [], *describe(judged))
     if isinstance(judged.bound, str):
-        return Assessment("not proven", f"with the stated uncertainty: {judged.bound}", conditions, [], {})
+        claim = f"with the stated uncertainty: {judged.bound}"
+        return Assessment("not proven", claim, conditions, *describe(judged))
     if subject.nothing:
         inertia, d = Inertia(alpha, alpha, 1.0 - alpha, 1.0 - alpha), np.full(6, size)
     else:
@@ -45,7 +46,7 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     slope = float(np.max(dynamics.slope))
     found = _reaching(subject, law, inertia, d, _inside(subject, judged, slope))
     if isinstance(found, str):
-        return Assessment("not proven", found, conditions, [], {})
+        return Assessment("not proven", found, conditions, *describe(judged))
     reaching, short, lines, figures = found
     for more, numbers in (describe(judged), bound_lines(judged, judged.bound, "joint")):
         lines, figures = lines + more, {**figures, **numbers}

@@ -10,6 +10,7 @@ from hil.app.stability import axes, boundary_layer, springs
 from hil.app.stability.assessment import Assessment
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.app.stability.timing import timed
+from hil.config.reference import HoldReference
 from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
@@ -27,6 +28,16 @@ def judge(
     """
     stated = Stated() if stated is None else stated
     return timed(c, _judge(c, stated, tell))
+
+
+def loop_at_home(c: Configuration) -> tuple[float | None, float | None]:
+    """Crossover, rad/s, and delay margin, ms, of the loop that runs, for small errors at home.
+
+    None: unlimited, unknown, or the loop is unstable. Raises ConfigurationError.
+    """
+    at_home = c.model_copy(update={"reference": HoldReference(type="hold")})
+    sampled = judge(at_home).figures.get("sampled", {})
+    return sampled.get("cross_over_rad_s"), sampled.get("delay_margin_ms")
 
 
 def _judge(c: Configuration, stated: Stated, tell: Callable[[float, float], None]) -> Assessment:

@@ -210,9 +210,11 @@ def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str,
     radius = found.growth(subject.axis)
     figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
     line = f"sampled loop   largest |z| {radius:.4f} where it comes to rest, all axes together"
-    if radius < 1.0 and (margin := found.delay_margin_s(subject.axis)) is not None:
+    if radius < 1.0 and (margins := found.margins(subject.axis)) is not None:
+        margin, crossover = margins
         figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
-        line += f"; alone it bears {1e3 * margin:.3g} ms more delay"
+        figures["sampled"]["cross_over_rad_s"] = crossover
+        line += f"; alone it bears {1e3 * margin:.3g} ms more delay; crosses over at {crossover:.0f} rad/s"
     return [line], figures, radius
 
 

@@ -89,8 +89,10 @@ class Springs(NamedTuple):
         law, robot = self.loop(axis)
         return float(np.abs(robot._replace(C=-robot.C).closed_with(law).poles()).max())
 
-    def delay_margin_s(self, axis: Axis) -> float | None:
-        """Additional delay of all axes at which a stable loop becomes unstable, s; inf: none.
+    def margins(self, axis: Axis) -> tuple[float, float] | None:
+        """Additional delay of all axes at which a stable loop becomes unstable, s, inf: none; and crossover.
+
+        The crossover, rad/s, is the highest frequency at which a locus below has magnitude 1.
 
         A common delay turns all eigenvalues of the loop's frequency response by the same angle. The smallest
         margin of these characteristic loci is the loop's (A. G. J. MacFarlane and I. Postlethwaite, 1977).
@@ -111,7 +113,10 @@ class Springs(NamedTuple):
 
         grid = np.geomspace(1e-4, 1.0, 1500) * top
         near = np.sort(np.concatenate([grid, peaks * (1.0 - 1e-7), peaks * (1.0 + 1e-7)]))  # narrow peaks
-        return min((left / omega for omega, left in crossings(loci, near)), default=np.inf)
+        met = list(crossings(loci, near))
+        return min((left / omega for omega, left in met), default=np.inf), max(
+            (w for w, _ in met), default=0.0
+        )
 
 
 def rest(robot: Model, tau: Forces, p: Array, R: Array) -> tuple[Array, Array, Springs]:

@@ -20,6 +20,7 @@ from hil.control import ControllerSettings
 from hil.record.metrics import Share, force_shares
 from hil.robot.dynamics import Model
 from hil.study.compare.claims import judge
+from hil.study.compare.crossover import equal_crossover, gains, loop_of
 from hil.study.compare.laws import changed, chosen, desired_loop, paths, with_scale, without_limits
 from hil.study.compare.measure import SETTLE_PERIODS, Job, Outcome, measure
 from hil.study.compare.plot import draw
@@ -40,6 +41,7 @@ def compare(
     path_laws: Sequence[str] | None = None,
     duration_s: float | None = None,
     lift_limits: bool = False,
+    equal: bool = False,
     jobs: int | None = None,
     picture: Path | None = None,
     progress: Progress | None = None,
@@ -51,6 +53,7 @@ def compare(
         configuration's own law. Losses: bus time, encoder resolution, drive lag.
     duration_s : along the reference; default one period of it.
     lift_limits : run without the limits of tracking error, force change and speed.
+    equal : scale the gains of the laws to one crossover, see `crossover.equal_crossover`.
     jobs : number of processes; default one per processor, 1: this process.
 
     A law that faults keeps its row. Raises ConfigurationError: the configuration cannot run; PlantError: the
@@ -64,6 +67,9 @@ def compare(
     settings = chosen(c, laws)
     extra = _path_laws(c, settings, path_laws)
     believed = {name: with_scale(s, c.compare.inertia_scale) for name, s in settings.items()}
+    crossover, remarks = None, dict[str, str]()
+    if equal:
+        crossover, believed, remarks = equal_crossover(c, believed)
     compared = without_limits(c) if lift_limits else c
     duration = _duration(c, duration_s)
     _refuse_load(c, duration)
@@ -87,14 +93,24 @@ def compare(
         "limits": "lifted" if lift_limits else "as configured",
         "inertia_scale": c.compare.inertia_scale,
         **c.compare.model_dump(include={"disturbance", "step"}),
-        "laws": {name: _plain(o, believed[name]) for name, o in own.items()},
+        "equal_crossover_rad_s": crossover,
+        "laws": {
+            name: {
+                "settings": believed[name].model_dump(),
+                "gains": gains(believed[name]),
+                **loop_of(c, believed[name])._asdict(),
+                "remark": remarks.get(name),
+                **_plain(o),
+            }
+            for name, o in own.items()
+        },
         "paths": {name: {path: _plain(o) for path, o in found.items()} for name, found in losses.items()},
         "force_shares": {name: share._asdict() for name, share in shares.items()},
         "claims": claims,
         "picture": None,
     }
     with further(result):
-        result["picture"] = str(draw(own, losses, target, _title(c, lift_limits=lift_limits)))
+        result["picture"] = str(draw(own, losses, target, _title(c, crossover, lift_limits=lift_limits)))
     return result | {"wall_s": time.perf_counter() - begun}
 
 
@@ -181,14 +197,15 @@ def _shares(c: Configuration, duration: float) -> dict[str, Share]:
     return force_shares(model, map(trajectory.sample, times.tolist()))
 
 
-def _plain(o: Outcome, settings: ControllerSettings | None = None) -> dict[str, Any]:
-    found: dict[str, Any] = {"fault": o.fault, "fault_s": o.fault_s, **o.figures}
-    return found if settings is None else {"settings": settings.model_dump(), **found}
+def _plain(o: Outcome) -> dict[str, Any]:
+    return {"fault": o.fault, "fault_s": o.fault_s, **o.figures}
 
 
-def _title(c: Configuration, *, lift_limits: bool) -> str:
+def _title(c: Configuration, crossover_rad_s: float | None, *, lift_limits: bool) -> str:
     s: CompareSettings = c.compare
     parts = [f"{c.name}: control laws along the reference"]
+    if crossover_rad_s is not None:
+        parts.append(f"crossover {crossover_rad_s:.3g} rad/s")
     if s.inertia_scale != 1.0:
         parts.append(f"masses of the models {100 * s.inertia_scale:g} %")
     if (d := s.disturbance) is not None:

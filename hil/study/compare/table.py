@@ -34,6 +34,13 @@ STEP = (
     _figure("-3 dB\nHz", "bandwidth_Hz", ".3g"),
     Column("", lambda row: Text(unrest(row[1]), "red"), left=True),
 )
+LOOP = (
+    LAW,
+    _figure("crossover\nrad/s", "crossover_rad_s", ".0f"),
+    _figure("delay\nmargin ms", "delay_margin_ms", ".3g"),
+    Column("gains", lambda row: _gains(row[1]["gains"]), left=True),
+    Column("", lambda row: Text(row[1]["remark"] or "", "red"), left=True),
+)
 LOAD = (
     LAW,
     _figure("leg mm\npeak", "disturbed_peak_leg_error_mm", ".3g"),
@@ -50,7 +57,10 @@ CLAIMS = (
 def show(summary: Row) -> None:
     """Print the tables of a comparison: laws, errors by signal path, and the chapter's statements."""
     step, laws = summary["step"], list(summary["laws"].items())
+    target = summary["equal_crossover_rad_s"]
+    scaled = "" if target is None else f", gains scaled to a crossover of {target:.4g} rad/s"
     _part(f"Along {summary['duration_s']:g} s of the reference", PATH, laws)
+    _part(f"Loops at home, with observer, delay and lag of the drives{scaled}", LOOP, laws)
     _part(f"At home: at rest, then a step of {step['axis']} by {step['size']:g}", STEP, laws)
     if summary["disturbance"]:
         _part("The disturbance, held at home", LOAD, laws)
@@ -105,6 +115,15 @@ def result(row: Row) -> str:
 def stage_title(name: str, stages: Sequence[str]) -> str:
     """Title of a signal path: `+` and the losses that this path adds to the path before it."""
     return name if name in (stages[0], stages[-1]) else f"+ {name}"
+
+
+def _gains(gains: Row) -> str:
+    def one(value: Any) -> str:
+        if isinstance(value, list):
+            return f"[{', '.join(map(one, value))}]"
+        return value if isinstance(value, str) else f"{value:.4g}"
+
+    return ", ".join(f"{key} {one(value)}" for key, value in gains.items())
 
 
 def _at(path: str) -> Callable[[Any], str | Text]:

@@ -1,0 +1,40 @@
+"""Figures of README and docs: each quoted text stands on its page, and each run of docs/claims.yaml gives it."""
+
+from __future__ import annotations
+
+import pytest
+
+from tools.claims import BENCH, holds, judged, table
+
+RUNS, CLAIMS = table()
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: f"{claim.page}: {claim.quote}")
+def test_quoted_text_stands_on_its_page(claim):
+    assert claim.stands()
+
+
+def test_every_run_measures_a_figure():
+    assert {claim.run for claim in CLAIMS} == set(RUNS)
+
+
+@pytest.mark.parametrize(
+    ("quoted", "measured", "within", "verdict"),
+    [
+        ("0.83", 0.8325, 0.0, True),
+        ("0.83", 0.8249, 0.0, False),
+        ("0.90", 0.8325, 0.0, False),
+        ("246", 246.44, 0.0, True),
+        ("246", 246.51, 0.0, False),
+        ("40900", 40887.7, 0.01, True),
+    ],
+)
+def test_a_quoted_figure_holds_if_the_measured_one_rounds_to_it(quoted, measured, within, verdict):
+    assert holds(quoted, measured, within) is verdict
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("run", [run for run in RUNS if run != BENCH])
+def test_measured_figures_are_those_quoted(run):
+    found = list(judged([claim for claim in CLAIMS if claim.run == run], RUNS[run].result()))
+    assert not [(claim.page, claim.quote, measured) for claim, _, measured, fine in found if not fine]

@@ -185,7 +185,7 @@ class SensorNode(Section):
 
 
 class TrackerEmulation(SensorNode):
-    """Errors of the emulated pose tracker: white noise and constant bias."""
+    """Errors of the emulated pose tracker: white noise, bias, drift, and a constant error of its time stamps."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 5.0
     """Time from the sample until its frame enters the bus."""
@@ -197,6 +197,10 @@ class TrackerEmulation(SensorNode):
     """Offset of the tracker's frame from the base frame."""
     rotation_bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Rotation vector from the base frame to the tracker's frame."""
+    position_drift_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Drift of its position, base frame, from zero at the start."""
+    stamp_error_ms: Annotated[float, Field(ge=0, le=20)] = 0.0
+    """Stamps are this much later than the samples, at most by the latency: later ones are ignored."""
 
 
 class ImuEmulation(SensorNode):

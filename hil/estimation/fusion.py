@@ -2,7 +2,8 @@
 
 Equations of one interval: `hil.estimation.fusion_kernels`.
 
-The state is pose and twist; with an IMU also its biases; optionally the force along each leg that neither
+The state is pose and twist; with an IMU also its biases; with a tracker also the constant errors of its
+stamps and of its pose, which six legs reveal; optionally the force along each leg that neither
 model nor drives know: friction, inertia of motor and screw. The prediction from tick to tick uses the model's
 acceleration under the forces that the drives report, at their own latching. The command of the tick before
 would miss the delay of force loop and bus (1.1 ms at 1 kHz). The reference would miss every disturbance and
@@ -40,6 +41,9 @@ SILENT_SAMPLES = 5
 """A sensor is missed after this number of missing samples in a row."""
 _BIAS_STD = (0.05, 0.5)
 """Standard deviations, rad/s and m/s^2, of the unknown biases of an IMU."""
+_STAMP_STD_s, _STAMP_WALK_s_sqrts, _MEMORY_s = 3e-3, 1e-5, 30.0
+"""s, s/sqrt(s) and s: constant error of the tracker's stamps, its random walk, and the time over which the
+filter remembers the tracker's offset, whose initial deviation is that of the noise."""
 _START_STD = (1e-3, 1e-2, 1e-3, 1e-3)
 """Pose m and rad, linear and angular rate of a platform at rest, just after a reading of all legs."""
 
@@ -49,7 +53,7 @@ class FusedEstimator:
 
     Mutable state, in its record and the rings that this points to: states, covariances and intervals, their
     ticks, the newest one and their number; the last forces; ticks left out, contradictions in a row and slips
-    per leg; the last use of each sensor. `start` resets all of it.
+    per leg; the last use of each sensor; the mean of the tracker's innovations. `start` resets all of it.
 
     Parameters
     ----------
@@ -70,7 +74,8 @@ class FusedEstimator:
     ) -> None:
         self._model = model
         n = 12 + 6 * int(imu is not None and settings.imu_biases)
-        errors = n + 6 * int(legs.force_std_N > 0.0)
+        offsets = n + 6 * int(legs.force_std_N > 0.0)
+        errors = offsets + 7 * int(tracker is not None)
         oldest_s = max(tracker.latency_max_ms * 1e-3 if tracker else 0.0, 2.0 / imu.rate_Hz if imu else 0.0)
         size = ceil(oldest_s / period_s) + 3
         self._steps, self._covariances = np.zeros(size, STEP), np.zeros((size, errors, errors))
@@ -78,6 +83,8 @@ class FusedEstimator:
         if tracker is not None:
             seen["r_position"] = tracker.position_std_m**2
             seen["r_rotation"] = np.deg2rad(tracker.orientation_std_deg) ** 2
+            seen["q_stamp"], share = _STAMP_WALK_s_sqrts**2, 1.0 / tracker.rate_Hz / _MEMORY_s**2
+            seen["q_position"], seen["q_rotation"] = share * seen["r_position"], share * seen["r_rotation"]
         if imu is not None:
             seen["r_gyro"] = imu.angular_rate_std_rad_s**2
             seen["r_force"] = imu.specific_force_std_m_s2**2
@@ -115,6 +122,7 @@ class FusedEstimator:
             size=size,
             errors=errors,
             forces=n,
+            offsets=offsets,
             **seen,
         )
         self.fuse = Callee(fuse.address, data_at(self.record), self)
@@ -134,7 +142,7 @@ class FusedEstimator:
 
     def start(self, tick: int, t_ns: int, p: Array, R: Array) -> None:
         """Start at rest at a pose just measured: p (3,) m, R (3, 3), base frame; t_ns: of its sampling."""
-        for name in ("newest", "driven", "left_out", "against", "slipped"):
+        for name in ("newest", "driven", "left_out", "against", "slipped", "mean", "strays"):
             self.record[name] = 0
         self.record["count"], self.record["heard"], self.record["R"] = 1, tick, R
         self._steps["tick"], self._steps["latched_ns"] = 0, t_ns
@@ -144,4 +152,6 @@ class FusedEstimator:
         x[0:3], x[3:12] = p, np.reshape(R, 9)
         std = np.repeat((*_START_STD, *_BIAS_STD), 3)[:forces]
         P[:] = 0.0
-        np.fill_diagonal(P, [*(std * std), *[self.record["leg_force"]] * (len(P) - forces)])
+        f, forced = self.record, int(self.record["offsets"]) - forces
+        own = [_STAMP_STD_s**2, *[f["r_position"]] * 3, *[f["r_rotation"]] * 3][: len(P) - f["offsets"]]
+        np.fill_diagonal(P, [*(std * std), *[f["leg_force"]] * forced, *own])

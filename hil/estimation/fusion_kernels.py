@@ -3,10 +3,12 @@
 All measurements are processed one number at a time, so no matrix is inverted. Every update of P has Joseph's
 form (Bucy and Joseph, 1968), which keeps P symmetric and positive for any gain.
 
-State x (30,): p 0..2, R 3..11 row-major, twist 12..17, biases of gyro 18..20 and accelerometer 21..23, leg
-forces that the model does not know 24..29. Error (n,), n = 12, 18 or 24: dp, dtheta, dv, domega, biases if
-the IMU has some, leg forces if there are some; p = p + dp, R = exp(dtheta) R. All are in the base frame (the
-global perturbation of Sola, Deray and Atchuthan, A micro Lie theory, 2018), biases in the platform frame.
+State x (37,): p 0..2, R 3..11 row-major, twist 12..17, biases of gyro 18..20 and accelerometer 21..23, leg
+forces that the model does not know 24..29, the time by which the tracker stamps its samples too late 30, its
+offset 31..36. Error (n,), n = 12 to 31: dp, dtheta, dv, domega, biases if the IMU has some, leg forces if
+there are some, the tracker's errors if there is one; p = p + dp, R = exp(dtheta) R. All are in the base
+frame (the global perturbation of Sola, Deray and Atchuthan, A micro Lie theory, 2018), biases in the platform
+frame.
 """
 
 from typing import Any
@@ -16,7 +18,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, helper, kernel, record
 from drivers.compiled.pointed import reals_at, records_at
-from hil.estimation.fusion_layout import FUSION, GYRO_BIAS, KEPT, LEG_FORCE, STEP, TWIST, UNDECIDED
+from hil.estimation.fusion_layout import FUSION, GYRO_BIAS, KEPT, LEG_FORCE, STAMP, STEP, TWIST, UNDECIDED
 from hil.estimation.fusion_predict import acceleration, exp_step, predict, rotation_of
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.mathematics.rotations import orthonormalise, rotation_vector_kernel
@@ -25,6 +27,10 @@ from hil.robot.kinematics_kernels import leg, lengths_and_jacobian
 
 NOTHING = 1e-8
 """A bend is left out if its square is below this share of the variance of a length."""
+WATCHED, STRAYS = 100, 6.0
+"""Samples of the exponential mean of tracker innovations, and its limit in standard deviations."""
+BENT = 2.0
+"""Factor on the variance of a bend, which lasts as long as the error of the pose and is no white noise."""
 FADES = 6
 """Largest number of times that the process noise is raised by 100; then the measurements are accepted."""
 steps_at = records_at(record(STEP))
@@ -79,8 +85,10 @@ def correct(f: Any, x: Array, dx: Array) -> None:
         x[i] += dx[i]
     for i in range(6, f.forces):
         x[TWIST - 6 + i] += dx[i]
-    for i in range(f.forces, f.errors):
+    for i in range(f.forces, f.offsets):
         x[LEG_FORCE - f.forces + i] += dx[i]
+    for i in range(f.offsets, f.errors):
+        x[STAMP - f.offsets + i] += dx[i]
     R = rotation_of(x)
     exp_step(R, at(dx, 3))
     orthonormalise(R)
@@ -203,9 +211,30 @@ def beyond(f: Any, s: Any, P: Array, bent: Array) -> tuple[int, int]:
 
 
 @helper
+def watch_tracker(f: Any, s: Any) -> None:
+    """Update the mean of the tracker's innovations, and whether white noise can explain it.
+
+    Six legs are the reference: what no constant error of tracker and stamps explains is a drift or a jump.
+    With a leg lost, the last judgement stays.
+    """
+    for i in range(6):
+        if s.used[i] == 0:
+            return
+    f.strays = 0
+    for i in range(6):
+        f.mean[i] += (s.tracker_innovation[i] / s.tracker_std[i] - f.mean[i]) / WATCHED
+        if f.mean[i] ** 2 * (2 * WATCHED - 1) > STRAYS**2:
+            f.strays = 1
+
+
+@helper
 def update_tracker(f: Any, s: Any, P: Array, dx: Array) -> None:
-    """Update with the tracker's pose at the state's time; ignored if one of six numbers is too far off."""
-    x, Z = s.x, s.tracker_R
+    """Update with the tracker's pose at the state's time; ignored if one of six numbers is too far off.
+
+    Stamped d late, by a tracker that is off by b: p(t - d) + b = p - d v + d^2 dv / 2 + b, R likewise.
+    """
+    x, Z, d = s.x, s.tracker_R, s.x[STAMP]
+    a, turn = acceleration(f, s)
     R = rotation_of(x)
     turned = np.empty((3, 3))
     for i in range(3):
@@ -215,19 +244,22 @@ def update_tracker(f: Any, s: Any, P: Array, dx: Array) -> None:
     for i in range(3):
         s.tracker_innovation[i] = s.tracker_p[i] - x[i]
         s.tracker_innovation[3 + i] = angle[i]
-    if s.tracker == UNDECIDED:
+    H, new = np.zeros((6, f.errors)), s.tracker == UNDECIDED
+    if new:
         s.tracker = 1
-        for i in range(6):
-            r = f.r_position if i < 3 else f.r_rotation
-            if s.tracker_innovation[i] ** 2 > f.gate * (P[i, i] + r):
-                s.tracker = -1
+    for i in range(6):
+        speed, gain = x[TWIST + i], a[i] if i < 3 else turn[i - 3]
+        H[i, i], H[i, 6 + i] = 1.0, -d
+        H[i, f.offsets], H[i, f.offsets + 1 + i] = d * gain - speed, 1.0
+        s.tracker_innovation[i] += d * (speed - 0.5 * d * gain) - x[STAMP + 1 + i]
+        variance = variance_of(P, H[i]) + (f.r_position if i < 3 else f.r_rotation)
+        s.tracker_std[i] = np.sqrt(variance)
+        if new and s.tracker_innovation[i] ** 2 > f.gate * variance:
+            s.tracker = -1
     if s.tracker < 0:
         return
-    h = np.zeros(f.errors)
     for i in range(6):
-        h[i] = 1.0
-        take(P, h, f.r_position if i < 3 else f.r_rotation, s.tracker_innovation[i], dx)
-        h[i] = 0.0
+        take(P, H[i], f.r_position if i < 3 else f.r_rotation, s.tracker_innovation[i], dx)
     correct(f, x, dx)
 
 
@@ -284,10 +316,12 @@ def interval(f: Any, before: Any, P0: Array, s: Any, P: Array) -> None:
             break
         s.fade *= 100.0
     s.decided = 1
+    if new and s.tracker > 0:
+        watch_tracker(f, s)
     for i in range(6):
         if s.used[i] != 0:
             l, rate = leg_rows(f, i, s.x, h, g)
-            r = f.r_length + bent[1, i] + rate * rate * f.latch
+            r = f.r_length + BENT * bent[1, i] + rate * rate * f.latch
             take(P, h, r, s.length[i] - l - bent[0, i], dx)
             take(P, g, rate_variance(f, s, g, rate), s.rate[i] - rate, dx)
     if s.imu != 0:

@@ -4,15 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-TWIST, GYRO_BIAS, FORCE_BIAS, LEG_FORCE = 12, 18, 21, 24
-"""Indices in a state (30,), behind p and R."""
+TWIST, GYRO_BIAS, FORCE_BIAS, LEG_FORCE, STAMP = 12, 18, 21, 24, 30
+"""Indices in a state (37,), behind p and R."""
 KEPT, UNDECIDED = 2, 2
 """`used` of a leg that is used in any case; `tracker` of a sample that no run has seen yet."""
 
 STEP = np.dtype(
     [
         ("tick", "<i8"), ("latched_ns", "<i8"),
-        ("x", "<f8", (30,)),  # the state at its latching, see `hil.estimation.fusion_kernels`
+        ("x", "<f8", (37,)),  # the state at its latching, see `hil.estimation.fusion_kernels`
         # the interval that ends with it
         ("T", "<f8"),  # s
         ("dtwist", "<f8", (6,)),  # acceleration of the model, mean over the interval
@@ -28,6 +28,7 @@ STEP = np.dtype(
         ("gyro", "<f8", (3,)), ("force", "<f8", (3,)),  # rad/s, m/s^2 in the platform frame
         ("innovation", "<f8", (6,)),  # measured less predicted length, m
         ("tracker_innovation", "<f8", (6,)),  # measured less predicted pose, m and rad
+        ("tracker_std", "<f8", (6,)),  # its standard deviations
     ]
 )  # fmt: skip
 """One tick: its state, the measurements since the tick before, and the decisions about them."""
@@ -39,6 +40,7 @@ FUSION = np.dtype(
         ("patience", "<f8", (2,)),  # ticks in which tracker and IMU may be silent
         # variances of one sample, densities of what is white in time
         ("q_v", "<f8"), ("q_w", "<f8"), ("q_gyro_bias", "<f8"), ("q_force_bias", "<f8"),
+        ("q_stamp", "<f8"), ("q_position", "<f8"), ("q_rotation", "<f8"),
         ("r_length", "<f8"), ("r_rate", "<f8"), ("r_position", "<f8"), ("r_rotation", "<f8"),
         ("r_gyro", "<f8"), ("r_force", "<f8"),
         ("latch", "<f8"), ("rate_skew", "<f8"),  # s^2, of the instants of a length and of a rate beside it
@@ -51,7 +53,7 @@ FUSION = np.dtype(
         ("gap_max_s", "<f8"), ("std_max_m", "<f8"),
         # rings: addresses of the steps and of their covariances (n, n), how many there are
         ("steps", "<i8"), ("covariances", "<i8"), ("size", "<i8"),
-        ("errors", "<i8"), ("forces", "<i8"),  # n; where the leg forces are in an error: n without
+        ("errors", "<i8"), ("forces", "<i8"), ("offsets", "<i8"),  # n; where these begin in an error
         ("newest", "<i8"), ("count", "<i8"),  # place of the newest step; how many are filled
         # state
         ("driven", "<i8"), ("tau", "<f8", (6,)),  # 1: tau are the last forces
@@ -59,6 +61,8 @@ FUSION = np.dtype(
         ("slipped", "<i8", (6,)),  # 1: the encoder has slipped
         ("heard", "<i8", (2,)),  # ticks in which tracker and IMU were last of use
         ("R", "<f8", (3, 3)),  # of the last estimate
+        ("mean", "<f8", (6,)),  # of recent tracker innovations, in their standard deviations
+        ("strays", "<i8"),  # 1: they are not random
         # what the last tick was judged by
         ("lost", "<i8"), ("contradicting", "<i8"),  # bits: legs that do not count; slipped, and may not
         ("missed", "<i8"),  # 1: a sensor is missed

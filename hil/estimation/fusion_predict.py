@@ -41,7 +41,7 @@ def rotation_of(x: Array) -> Array:
 def acceleration(f: Any, s: Any) -> tuple[Vector, Vector]:
     """Accelerations (dv m/s^2, domega rad/s^2) of an interval: the model's, plus unknown leg forces' part."""
     a, turn, I = at(s.dtwist, 0), at(s.dtwist, 3), s.influence
-    for leg in range(f.errors - f.forces):
+    for leg in range(f.offsets - f.forces):
         force = s.x[LEG_FORCE + leg]
         a = add(a, scale(force, (I[0, leg], I[1, leg], I[2, leg])))
         turn = add(turn, scale(force, (I[3, leg], I[4, leg], I[5, leg])))
@@ -106,12 +106,12 @@ def weigh(f: Any, s: Any, a: Vector, dt: float, F: Array) -> tuple[Vector, float
 @helper
 def fill_transition(f: Any, s: Any, dt: float, share: float, phi: Vector, stays: float, F: Array) -> None:
     """Fill in F's gradients of the model's acceleration, rotation by phi rad, and decay of leg forces."""
-    n, forces = f.errors, f.forces
+    n, forces, offsets = f.errors, f.forces, f.offsets
     for i in range(6):
         kept = dt * (1.0 - share) if i < 3 else dt
         for j in range(6):
             F[6 + i, j] += kept * s.gradient[i, j]
-        for j in range(n - forces):
+        for j in range(offsets - forces):
             F[6 + i, forces + j] = kept * s.influence[i, j]
     for i in range(3):
         for j in range(n):
@@ -130,7 +130,7 @@ def fill_transition(f: Any, s: Any, dt: float, share: float, phi: Vector, stays:
             F[3 + i, j] = 0.5 * dt * F[9 + i, j]
             F[3 + i, 9 + j] = dt * (e[i] + B * once[i] + C * twice[i])  # its left Jacobian
         F[j, 6 + j] = dt
-    for j in range(forces, n):
+    for j in range(forces, offsets):
         F[j, j] = stays
         for i in range(3):
             F[3 + i, j] = 0.5 * dt * F[9 + i, j]
@@ -142,13 +142,13 @@ def predict(f: Any, s: Any, P: Array, dt: float) -> None:
 
     The noise of the leg forces is added in two halves, before and after.
     """
-    x, n, forces = s.x, f.errors, f.forces
+    x, n, forces, offsets = s.x, f.errors, f.forces, f.offsets
     w = at(x, TWIST + 3)
     stays, q_leg = 1.0, 0.0
-    if forces < n:
+    if forces < offsets:
         stays = np.exp(-dt / f.leg_force_s)
         q_leg = s.fade * f.leg_force * (1.0 - stays * stays)
-    for i in range(forces, n):
+    for i in range(forces, offsets):
         P[i, i] += 0.5 * q_leg
     F = np.eye(n)
     a, turn = acceleration(f, s)
@@ -156,7 +156,7 @@ def predict(f: Any, s: Any, P: Array, dt: float) -> None:
     phi = add(scale(dt, w), scale(0.5 * dt * dt, turn))
     fill_transition(f, s, dt, share, phi, stays, F)
     carry(P, F)
-    for i in range(forces, n):
+    for i in range(forces, offsets):
         P[i, i] += 0.5 * q_leg
     add_process_noise(f, P, f.q_v * (1.0 - share) * s.fade, f.q_w * s.fade, dt)
     for i in range(6):
@@ -178,6 +178,9 @@ def add_process_noise(f: Any, P: Array, q_v: float, q_w: float, dt: float) -> No
             P[at_rate, at_rate] += q * dt
     for i in range(12, f.forces):
         P[i, i] += (f.q_gyro_bias if i < 15 else f.q_force_bias) * dt
+    for i in range(f.offsets, f.errors):
+        place = i - f.offsets
+        P[i, i] += (f.q_stamp if place == 0 else f.q_position if place < 4 else f.q_rotation) * dt
     for i in range(f.errors):
         for j in range(i):
             P[i, j] = P[j, i]

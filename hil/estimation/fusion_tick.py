@@ -185,7 +185,9 @@ def judge(f: Any, tick: Any) -> None:
         faults |= Fault.UNCERTAIN.value
     tick.unseen = np.int64(tick.legs_used != _ALL_LEGS)
     tick.fusion_faults = faults
-    tick.fusion_warnings = (Warn.ENCODER.value if f.lost else 0) | (Warn.SENSOR.value if f.missed else 0)
+    tick.fusion_warnings = (Warn.ENCODER.value if f.lost else 0) | (
+        Warn.SENSOR.value if f.missed or f.strays else 0
+    )
 
 
 @pointed(record(FUSION), record(SENSORS), INTEGER, INTEGER, record(TICK))

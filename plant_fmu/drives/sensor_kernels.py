@@ -15,17 +15,18 @@ from drivers.sensor_kernels import IMU, QUANTITIES, SENSORS, TRACKER, put_sample
 
 SENSED = np.dtype(
     [
-        *((name, "<i8") for name in ("sensors", "wrench", "sync_id", "before_ns")),
+        *((name, "<i8") for name in ("sensors", "wrench", "sync_id", "before_ns", "start_ns")),
         *((name, "<i8", (3,)) for name in ("heard_ns", "cycle", "late_ns")),
         *((name, "<f8", (3, QUANTITIES)) for name in ("bias", "noise")),
         *((name, "<f8", (QUANTITIES,)) for name in ("drawn", "values")),
-        *((name, "<f8", (3,)) for name in ("gravity", "before", "acceleration")),
+        *((name, "<f8", (3,)) for name in ("gravity", "before", "acceleration", "drift", "stamped_s")),
     ]
 )
 """Emulated sensors. Addresses of SENSORS and of the wrench (6,) N, N m on the platform; identifier of SYNC;
-instant of the velocity `before`. By kind: reception and counter of the last SYNC on its bus, latency in ns,
-bias and standard deviation of the noise (angles of the tracker in degrees). Random numbers drawn, measured
-values; gravity m/s^2, velocity m/s at `before_ns`, acceleration m/s^2 of the IMU."""
+instants of the velocity `before` and of the start. By kind: reception and counter of the last SYNC on its
+bus, latency in ns, bias and standard deviation of the noise (angles of the tracker in degrees). Random
+numbers drawn, measured values; gravity m/s^2, velocity m/s at `before_ns`, acceleration m/s^2 of the IMU;
+drift of the tracker m/s; by kind, error of the stamps s."""
 SILENT = 1
 """Status of `measure`: the last SYNC is too long ago for a time stamp relative to it."""
 _LONGEST_STAMP_S = 0.0655
@@ -109,7 +110,7 @@ def measure(
     there, turned = carried(p, R, twist, (t_ns - grid_ns) * 1e-9)
     bias, noise, v = n.bias[kind], n.noise[kind] * n.drawn, n.values
     if kind == TRACKER:
-        v[:3] = there + bias[:3] + noise[:3]
+        v[:3] = there + bias[:3] + noise[:3] + n.drift * ((t_ns - n.start_ns) * 1e-9)
         v[3:] = rotation_vector_of((bias[3:] + noise[3:]) * (pi / 180.0), turned)
     else:
         if kind == IMU:
@@ -123,7 +124,7 @@ def measure(
             for i in range(3):
                 seen = turned[0, i] * x + turned[1, i] * y + turned[2, i] * z
                 v[k + i] = seen + bias[k + i] + noise[k + i]
-    offset_s = (t_ns - n.heard_ns[kind]) * 1e-9
+    offset_s = (t_ns - n.heard_ns[kind]) * 1e-9 + n.stamped_s[kind]
     if offset_s > _LONGEST_STAMP_S:
         return SILENT
     frame.t_ns = t_ns + n.late_ns[kind]

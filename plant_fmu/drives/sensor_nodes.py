@@ -15,7 +15,7 @@ from drivers.config import DriveSettings
 from drivers.errors import PlantError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, sent_frames, timed_array
-from drivers.sensor_kernels import IMU
+from drivers.sensor_kernels import IMU, TRACKER
 from drivers.sensors import KINDS, SensorProtocol
 from drivers.tick_columns import Record
 from plant_fmu.config import DriveEmulation, SensorEmulation
@@ -61,6 +61,8 @@ class SensedNodes(Nodes):
         n["sensors"], n["wrench"] = data_at(self._sensors.tables), data_at(drives["wrench"])
         n["sync_id"] = self._sensors.sync_id
         n["before_ns"], n["heard_ns"], n["gravity"] = t0_ns, -NEVER_NS, self._gravity
+        n["start_ns"], n["drift"] = t0_ns, tracker.position_drift_m_s
+        n["stamped_s"][TRACKER] = tracker.stamp_error_ms * 1e-3
         n["late_ns"] = [round(sensor.latency_ms * 1e6) for sensor in each]
         first, second = n["bias"][:, :3], n["bias"][:, 3:]
         first[:] = tracker.position_bias_m, imu.angular_rate_bias_rad_s, wrench.force_bias_N

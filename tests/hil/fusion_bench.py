@@ -63,10 +63,10 @@ class Truth:
         s, normal = LOOSE_LEGS, self.chance.standard_normal
         return measurement(q + noise * s.length_std_m * normal(6), dq + noise * s.rate_std_m_s * normal(6))
 
-    def track(self, tick: int, offset_s: float) -> Sample:
-        """Sample of the present pose with the time stamp of another instant."""
-        p = self.p + TRACKER.position_std_m * self.chance.standard_normal(3)
-        R = Rotation.from_rotvec(ROTATION_STD * self.chance.standard_normal(3)) * self.R
+    def track(self, tick: int, offset_s: float, off: Array = ZERO) -> Sample:
+        """Sample of the present pose, off by a constant (6,), with the time stamp of another instant."""
+        p = self.p + off[:3] + TRACKER.position_std_m * self.chance.standard_normal(3)
+        R = Rotation.from_rotvec(off[3:] + ROTATION_STD * self.chance.standard_normal(3)) * self.R
         return Sample(tick, offset_s, (*p, *R.as_rotvec()))
 
     def feel(self, tick: int, imu: ImuSettings, biases: Array) -> Sample:

@@ -95,7 +95,7 @@ class Plain:
     def update(self, function, z, r, bent=0):
         H = self.jacobian(function)
         mean, variance = (np.append(x, np.zeros(len(z) - bent)) for x in self.bends(function, bent))
-        S = H @ self.P @ H.T + np.diag(r + variance)
+        S = H @ self.P @ H.T + np.diag(r + 2 * variance)
         K = self.P @ H.T @ np.linalg.inv(S)
         d = K @ (z - mean - function(self.p, self.R, self.twist))
         self.P = self.P - K @ H @ self.P
@@ -105,6 +105,7 @@ class Plain:
 def test_filter_agrees_with_a_plain_one_with_a_lost_leg_and_a_tracker():
     truth = Truth(1)
     plain, found = Plain(truth), estimator(start=truth)
+    found._covariances[0][12:, 12:] = found.record[["q_stamp", "q_position", "q_rotation"]] = 0.0
     for tick in range(1, 121):
         samples = []
         share = 0.0
@@ -135,7 +136,7 @@ def test_filter_agrees_with_a_plain_one_with_a_lost_leg_and_a_tracker():
         z = np.concatenate((m["length"][kept], m["rate"][kept]))
         r = np.repeat([LOOSE_LEGS.length_std_m, LOOSE_LEGS.rate_std_m_s], len(kept)) ** 2
         plain.update(both, z, r, bent=len(kept))
-        _, P = state_of(found)
+        P = state_of(found)[1][:12, :12]
         scale = np.sqrt(np.outer(plain.P.diagonal(), plain.P.diagonal()))
         assert np.abs((P - plain.P) / scale).max() < 1e-5
         assert np.abs(fused["p"] - plain.p).max() < 1e-8
@@ -153,24 +154,29 @@ IMU = ImuSettings(rate_Hz=1000.0)
 def test_errors_of_the_filter_agree_with_its_covariance(lost, imu):
     """Mean of e^T P^-1 e / n over independent runs is 1, within five standard deviations of that mean.
 
-    Biases of an IMU are drawn from the filter's initial covariance.
+    Biases of an IMU, and constant errors of the tracker and of its stamps, are drawn from the filter's
+    initial covariance.
     """
-    runs, ticks = 20, 150
+    runs, ticks, late = 20, 150, 12
     nees = []
     for seed in range(runs):
         truth = Truth(seed)
         found = estimator(start=truth, imu=imu)
         _, P = state_of(found)
-        biases = np.sqrt(P.diagonal()[12:]) * truth.chance.standard_normal(len(P) - 12)
+        own = np.sqrt(P.diagonal()[12:]) * truth.chance.standard_normal(len(P) - 12)
+        biases, stamp_s, off = own[:-7], own[-7], own[-6:]
+        taken: dict[int, list[Sample]] = {}
         for tick in range(1, ticks):
-            samples = [truth.track(tick - 1, 0.0)] if tick % 5 == 0 else []
+            if tick % 5 == 0:
+                taken[tick + late] = [truth.track(tick - 1, stamp_s, off)]
+            samples = taken.get(tick, [])
             felt = [truth.feel(tick, imu, biases)] if imu else []
             if not imu:
                 truth.step()
             m = truth.measure()
             fused = update(found, tick, measurement(m["length"], m["rate"], lost=lost), samples, felt)
         x, P = state_of(found)
-        e = np.append(error(fused, truth), biases - x[18:24][: len(biases)])
+        e = np.concatenate((error(fused, truth), own - np.append(x[18:24][: len(biases)], x[30:])))
         nees.append(e @ np.linalg.solve(P, e) / len(e))
     assert np.mean(nees) == pytest.approx(1.0, abs=5 * np.sqrt(2 / (len(e) * runs)))
 
@@ -262,9 +268,9 @@ def test_filter_finds_an_unreported_force_along_a_leg():
         fused = update(found, tick, truth.measure(truth.hold))
         assert all(fused.used)
     x, P = state_of(found)
-    std = np.sqrt(P.diagonal()[12:])
+    std = np.sqrt(P.diagonal()[12:18])
     assert std.max() < 200.0, "of 500 N before anything was measured"
-    assert np.abs((x[24:] - truth.unknown) / std).max() < 3
+    assert np.abs((x[24:30] - truth.unknown) / std).max() < 3
     e = error(fused, truth)
     assert e @ np.linalg.solve(P[:12, :12], e) / 12 < 2
 

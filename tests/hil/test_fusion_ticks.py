@@ -183,9 +183,21 @@ def test_restart_of_the_filter_clears_slips_forces_and_attitude():
         )
     for name, leg in (("slipped", 2), ("against", 1), ("left_out", 4)):
         found.record[name][leg] = 2
+    found.record["mean"], found.record["strays"] = 1.0, 1
     for each in (found, fresh):
         each.start(50, 50 * MS, truth.p, truth.R.as_matrix())
-    for name in ("newest", "count", "driven", "slipped", "left_out", "against", "heard", "R"):
+    for name in (
+        "newest",
+        "count",
+        "driven",
+        "slipped",
+        "left_out",
+        "against",
+        "heard",
+        "R",
+        "mean",
+        "strays",
+    ):
         np.testing.assert_array_equal(found.record[name], fresh.record[name], name)
     for name in ("tick", "latched_ns", "x"):
         np.testing.assert_array_equal(found._steps[0][name], fresh._steps[0][name])
@@ -221,7 +233,8 @@ def test_each_setting_of_the_filter_sets_its_own_constant():
         "r_length": 289.0, "r_rate": 361.0, "rate_skew": 529.0, "rate_scale": 841.0,
         "leg_force": 961.0, "leg_force_s": 37.0, "r_position": 0.001681,
         "r_rotation": (0.43 * np.pi / 180.0) ** 2, "r_gyro": 0.002209, "r_force": 0.2809,
-        "forces": 18, "errors": 24,
+        "q_stamp": 1e-10, "q_position": 0.001681 / 200 / 30**2,
+        "forces": 18, "offsets": 24, "errors": 31,
     }  # fmt: skip
     assert {name: float(c[name]) for name in expected} == pytest.approx(expected)
     assert c["gravity"].tolist() == PLATFORM.gravity.tolist()

@@ -11,7 +11,7 @@ BUDGETS = {
     "drivers": (9_310, 67_800),
     "plant_fmu": (8_480, 60_300),
     "hil/loop hil/operate": (6_740, 52_000),
-    "hil/safety hil/estimation": (3_080, 25_200),
+    "hil/safety hil/estimation": (3_130, 25_800),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
     "hil/record": (4_730, 37_300),
     "hil/config hil/app/configuration": (3_880, 25_300),

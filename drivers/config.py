@@ -1,4 +1,4 @@
-"""Configuration sections `bus`, `drives` and `sensors`."""
+"""Configuration sections `bus` and `drives`."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from drivers.bus_address import BusAddress
 from drivers.errors import ConfigurationError
 from drivers.registry import registered
-from drivers.section import Section
+from drivers.section import PerLeg, Section
 from drivers.signals import LEGS
 
 Name = Annotated[
@@ -18,8 +18,8 @@ Name = Annotated[
     ),
 ]
 """Text, which YAML reads as a number where it is one: `channel: 0`."""
-MAX_BUSES = LEGS
-"""Each leg is on one bus."""
+MAX_BUSES = LEGS + 2
+"""Each leg is on one bus; sensors may have buses of their own."""
 
 
 class ChannelSettings(Section):
@@ -27,8 +27,10 @@ class ChannelSettings(Section):
 
     channel: Name
     """Channel of the interface, different for each bus."""
-    legs: Annotated[list[Annotated[int, Field(ge=0, lt=LEGS)]], Field(min_length=1, max_length=LEGS)]
-    """Legs whose drives are on this bus, counted from 0."""
+    legs: Annotated[list[Annotated[int, Field(ge=0, lt=LEGS)]], Field(max_length=LEGS)] = []
+    """Legs whose drives are on this bus, counted from 0; none on a bus of sensors."""
+    layout: Literal["classic", "fd"] | None = None
+    """Frames of a bus without legs; buses with legs have that of `bus.layout`."""
     interface: str | None = None
     """python-can interface: localcan, socketcan, udp_multicast, ..."""
     bitrate_bit_s: Annotated[int, Field(gt=0)] | None = None
@@ -41,7 +43,8 @@ class ChannelSettings(Section):
     """Keyword arguments for the python-can interface, besides channel and bit rates."""
 
 
-def _refuse_twice(what: str, given: Sequence[str | int]) -> None:
+def refuse_twice(what: str, given: Sequence[str | int]) -> None:
+    """Raise ValueError for values that occur twice."""
     twice = sorted({each for each in given if given.count(each) > 1}, key=str)
     if twice:
         raise ValueError(f"{what}, allowed: each once, given twice: {', '.join(map(str, twice))}")
@@ -65,7 +68,7 @@ class BusSettings(Section):
     options: dict[str, str | int | float | bool] = {}
     """Keyword arguments for the python-can interface, besides channel and bit rates."""
     channels: Annotated[list[ChannelSettings], Field(max_length=MAX_BUSES)] = []
-    """Several buses, each with legs of its own; then `channel` is that of the first bus and is left out."""
+    """Several buses, with legs or sensors; then `channel` is that of the first bus and is left out."""
 
     @model_validator(mode="before")
     @classmethod
@@ -90,8 +93,14 @@ class BusSettings(Section):
             return self
         names = [each.channel for each in self.channels]
         legs = [leg for each in self.channels for leg in each.legs]
-        _refuse_twice("channels have the same name", names)
-        _refuse_twice("legs are on two buses", legs)
+        refuse_twice("channels have the same name", names)
+        for each in self.channels:
+            if each.legs and each.layout not in (None, self.layout):
+                raise ValueError(
+                    f"channel {each.channel} has legs and a layout of its own, allowed: that of bus.layout, "
+                    f"{self.layout}, given: {each.layout}"
+                )
+        refuse_twice("legs are on two buses", legs)
         missing = [str(leg) for leg in range(LEGS) if leg not in legs]
         if missing:
             raise ValueError(
@@ -129,7 +138,6 @@ class BusSettings(Section):
 Above0 = Annotated[float, Field(gt=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Side = Literal[1, -1]
-PerLeg = float | Annotated[list[float], Field(min_length=6, max_length=6)]
 PerLegAbove0 = Above0 | Annotated[list[Above0], Field(min_length=6, max_length=6)]
 PerLegShare = Share | Annotated[list[Share], Field(min_length=6, max_length=6)]
 PerLegSide = Side | Annotated[list[Side], Field(min_length=6, max_length=6)]
@@ -228,54 +236,5 @@ class DriveSettings(Section):
     @field_validator("node_ids")
     @classmethod
     def _each_once(cls, ids: list[int]) -> list[int]:
-        _refuse_twice("two legs have the same node number", ids)
+        refuse_twice("two legs have the same node number", ids)
         return ids
-
-
-Node = Annotated[int, Field(ge=1, le=127)]
-
-
-class TrackerSettings(Section):
-    """A CAN node that measures the platform's pose from outside: optical, laser or camera tracker."""
-
-    node_id: Node = 7
-    rate_Hz: Above0 = 200.0
-    """Samples per second, at most one per tick."""
-    position_std_m: Above0 = 1e-3
-    """Standard deviation of the noise of each coordinate."""
-    orientation_std_deg: Above0 = 0.1
-    """Standard deviation of the noise of the orientation about each axis."""
-    latency_max_ms: Above0 = 20.0
-    """Largest age of a sample; an older one is refused. Each millisecond costs the filter memory and time."""
-    channel: Name | None = None
-    """Channel, of `bus.channels`, to which the sensor is connected; default: the first."""
-
-
-class ImuSettings(Section):
-    """An inertial measurement unit on the platform, whose values refer to the platform origin."""
-
-    node_id: Node = 8
-    rate_Hz: Above0 = 500.0
-    """Samples per second, at most one per tick."""
-    angular_rate_std_rad_s: Above0 = 2e-3
-    specific_force_std_m_s2: Above0 = 0.05
-    channel: Name | None = None
-    """Channel, of `bus.channels`, to which the sensor is connected; default: the first."""
-
-
-class WrenchSensorSettings(Section):
-    """A node that measures the external wrench on the platform: force and moment at its origin."""
-
-    node_id: Node = 9
-    rate_Hz: Above0 = 1000.0
-    """Samples per second, at most one per tick."""
-    channel: Name | None = None
-    """Channel, of `bus.channels`, to which the sensor is connected; default: the first."""
-
-
-class SensorSettings(Section):
-    """Sensors on the bus next to the drives; an omitted one does not exist. Not for bus.layout classic."""
-
-    tracker: TrackerSettings | None = None
-    imu: ImuSettings | None = None
-    wrench: WrenchSensorSettings | None = None

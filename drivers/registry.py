@@ -56,8 +56,13 @@ def loaded(group: str, name: str) -> Any:
 def sections(group: str, base: type[Kind], field: str) -> dict[str, type[Kind]]:
     """Configuration sections registered in an entry-point group, by name.
 
-    field: key whose value selects the section by its name. Raises ConfigurationError as `loaded` and `named`.
+    field: key whose value selects the section by its name. Raises ConfigurationError as `loaded` and
+    `named`, and for a group without any entry point.
     """
+    if not registered(group):
+        raise ConfigurationError(
+            f"{group}: no entry points: the installation is older than its source; install it again (make)"
+        )
     return {name: named(name, loaded(group, name), base, field) for name in registered(group)}
 
 

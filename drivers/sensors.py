@@ -1,86 +1,303 @@
-"""Codec of the sensors next to the drives: pose tracker, IMU and wrench sensor, for both ends of the bus.
+"""The configured sensors: their tables for both ends, the frames that start and poll them, their bus time."""
 
-A sample is stamped in the controller's own time: Offset after the end of the SYNC that carried Cycle. No
-clock has to be set, and a sample may be up to 127 ticks late.
-"""
-
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import ceil
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.compiled.pointed import FAILED
-from drivers.config import BusSettings, SensorSettings
-from drivers.errors import ConfigurationError, ProtocolError
-from drivers.frame_array import FRAME, sent_frames
-from drivers.legs.messages import layouts, read_dbc
-from drivers.protocol import Frame
-from drivers.sensor_kernels import FIELDS, QUANTITIES, encode, no_sensors
+from drivers.arrays import Rows
+from drivers.compiled.compiler import INTEGER, record
+from drivers.compiled.pointed import FAILED, Callee, call, data_at, integers_at, pointed
+from drivers.config import BusSettings
+from drivers.errors import ConfigurationError, HilError, ProtocolError
+from drivers.family import Family
+from drivers.frame_array import FRAME, NO_FRAMES, sent_array, sent_frames
+from drivers.frame_pointers import frame_at
+from drivers.legs.kernels import check_of
+from drivers.protocol import BUS, EXTENDED, FD, Frame
+from drivers.sensing.family import CHANNELS, SYNC_ID, Device, Message, Wanted
+from drivers.sensing.kernels import encode
+from drivers.sensing.layout import (
+    CONDITIONS,
+    FLOAT,
+    FORCE,
+    FREE,
+    IMU,
+    INCLINATION,
+    LENGTH,
+    ROW,
+    SLOTS,
+    STAMPED,
+    TRACKER,
+    WRENCH,
+    Reception,
+    Tables,
+    no_sensors,
+)
+from drivers.sensing.settings import SensorRole, SensorSettings
+from drivers.signals import LEGS
 
-_MESSAGES = {"tracker": ("TRACKER_7", 7), "imu": ("IMU_8", 8), "wrench": ("WRENCH_9", 9)}
-"""Kind -> message of sensors.dbc, and the node number in its identifier."""
-KINDS = tuple(_MESSAGES)
-_TABLES = ("id", "flags", "bus", "length", "start", "bits", "scale", "low", "high")
-"""Fields of SENSORS that are known before any frame."""
+KINDS = tuple(CHANNELS)
+"""Roles of sensors, the keys of section `sensors`."""
+_SLOTS = {
+    "tracker": (TRACKER,), "imu": (IMU,), "wrench": (WRENCH,), "inclination": (INCLINATION,),
+    "lengths": tuple(range(LENGTH, LENGTH + LEGS)), "forces": tuple(range(FORCE, FORCE + LEGS)),
+}  # fmt: skip
+PATIENCE_S = 0.5
+"""A device that has sent no sample for so long is started again while the drives are off."""
+_START_EVERY_S = 0.02
+_STAMP_BYTES = 2
+"""Bytes of the SYNC of sensors.dbc: Cycle and CRC."""
+
+
+class Sensor(NamedTuple):
+    """One measurement of a device on a bus."""
+
+    role: str
+    slot: int
+    bus: int
+    rate_Hz: float
+    device: Device
+
+    def on_bus(self, frames: Iterable[Frame]) -> tuple[Frame, ...]:
+        """Frames on its bus."""
+        return tuple(frame._replace(flags=frame.flags + BUS * self.bus) for frame in frames)
+
+
+OPENED = np.dtype(
+    [(name, "<i8") for name in ("first", "context", "frames", "count")]
+    + [(name, "<i8", (2 * SLOTS,)) for name in ("every", "stamps")]
+)
+"""Function and context of `ControllerEnd.opening`; address of `count` elements of FRAME to send as well; the
+number of ticks from one of each to the next, and whether it carries the tick and a CRC."""
+_BYTES, _WORDS = FRAME.itemsize, FRAME.itemsize // 8
+
+
+@pointed(record(OPENED), INTEGER, INTEGER)
+def _open(o: Any, number: int, into: int) -> int:
+    """Write the frames that start a tick to an address, those of the drives first; return their number."""
+    count = call(o.first, (o.context, number, into)) if o.first else 0
+    for k in range(o.count):
+        if number % o.every[k]:
+            continue
+        at = into + count * _BYTES
+        integers_at(at, _WORDS)[:] = integers_at(o.frames + k * _BYTES, _WORDS)
+        if o.stamps[k]:
+            frame = frame_at(at)
+            frame.data[0] = number & 0xFF
+            frame.data[1] = check_of(SYNC_ID, frame.data, 1, 1)
+        count += 1
+    return int(count)
 
 
 class SensorProtocol:
-    """Codec of the configured sensors. Has constant tables only.
+    """Codec of the configured sensors. Holds tables only.
 
-    Raises ConfigurationError if the frame layout has no room for them.
+    Raises ConfigurationError for settings that a sensor does not have, and for frames that its bus does not
+    carry.
     """
 
-    def __init__(self, bus: BusSettings, sensors: SensorSettings) -> None:
-        self.rates_Hz = {k: s.rate_Hz for k in KINDS if (s := getattr(sensors, k)) is not None}
-        if self.rates_Hz and bus.layout == "classic":
-            given = ", ".join(f"sensors.{kind}" for kind in self.rates_Hz)
-            raise ConfigurationError(
-                f"bus.layout: classic carries 8 bytes per frame, but a sample takes up to 32, given: "
-                f"{given}; use layout fd, or remove the sensors"
-            )
-        self.database = "sensors.dbc", read_dbc("drivers", "sensors.dbc")
-        messages = layouts(self.database[1])
-        self.sync_id: int = messages["SYNC"].id
-        self.tables = no_sensors()
-        """Layout of the configured sensors' frames."""
-        for kind in self.rates_Hz:
-            name, node = _MESSAGES[kind]
-            form = messages[name]
-            identifier = form.id - node + getattr(sensors, kind).node_id
-            try:
-                bus_index = bus.index_of(getattr(sensors, kind).channel)
-            except ConfigurationError as error:
-                raise ConfigurationError(f"sensors.{kind}.channel: {error}") from error
-            start, bits = zip(*form.places[:FIELDS], strict=True)
-            tables = (
-                identifier, form.flags, bus_index, form.length, start, bits,
-                form.scale[: QUANTITIES + 1], form.low[:QUANTITIES], form.high[:QUANTITIES],
-            )  # fmt: skip
-            for column, table in zip(_TABLES, tables, strict=True):
-                self.tables[column][KINDS.index(kind)] = table
+    def __init__(self, bus: BusSettings, sensors: SensorSettings, folder: Path | None = None) -> None:
+        self.sensors: dict[int, Sensor] = {}
+        """Slot -> sensor."""
+        for role in KINDS:
+            settings = getattr(sensors, role)
+            if settings is not None:
+                for each in _sensors(role, settings, bus, folder or Path()):
+                    self.sensors[each.slot] = each
+        self.kinds = tuple(role for role in KINDS if getattr(sensors, role) is not None)
+        """Configured roles."""
+        self.tables = _tables(self.sensors.values())
+        """Messages of the configured sensors."""
+        starts = [
+            (slot, frame) for slot, each in self.sensors.items() for frame in each.on_bus(each.device.start)
+        ]
+        self._starts, self._started = sent_array(frame for _, frame in starts), [slot for slot, _ in starts]
 
     @property
-    def kinds(self) -> tuple[str, ...]:
-        """Kinds of sensor that are configured: some of `tracker`, `imu`, `wrench`."""
-        return tuple(self.rates_Hz)
+    def databases(self) -> tuple[tuple[str, str], ...]:
+        """Name and text of each DBC file: sensors.dbc, and that of a role as `sensors.ROLE.dbc`."""
+        devices = [(each.role, each.device) for each in self.sensors.values()]
+        found = {
+            "sensors.dbc" if device.timing == STAMPED else f"sensors.{role}.dbc": device.database
+            for role, device in devices
+            if device.database is not None
+        }
+        return tuple(found.items())
 
     def encode(self, kind: str, values: Sequence[float], cycle: int, offset_s: float, counter: int) -> Frame:
-        """Frame of one sample; a value beyond its field saturates and makes the sample invalid.
+        """Frame of one sample of a role with one message; a value beyond its field saturates.
 
         values: six, as in `SAMPLE`; its time is offset_s after the SYNC that carried cycle.
         Raises ProtocolError for NaN, and for an offset outside 0 .. 65.535 ms.
         """
         given, frame = np.array(values, float), np.zeros(1, FRAME)
-        when = (cycle, offset_s, counter)
-        if encode(self.tables, KINDS.index(kind), given, *when, frame.reshape(())) == FAILED:
+        row = self.tables.rows[self.tables.rows["slot"] == _SLOTS[kind][0]][:1]
+        if encode(row, given, cycle, offset_s, counter, frame.reshape(())) == FAILED:
             if np.isnan(given).any():
                 raise ProtocolError(f"sample of {kind} is not a number: {given.tolist()}")
             raise ProtocolError(f"sample of {kind}: offset of {offset_s} s, allowed: 0 to 0.065535")
         return sent_frames(frame)[0]
 
     def cyclic_frames(self, rate_Hz: float) -> tuple[Frame, ...]:
-        """One example of every frame that can fall into one tick at a loop of `rate_Hz`."""
+        """One example of every frame that can fall into one tick at a loop of `rate_Hz`, polls included."""
         found: list[Frame] = []
-        for kind, rate in self.rates_Hz.items():
-            found += [self.encode(kind, (0.0,) * 6, 0, 0.0, 0)] * ceil(rate / rate_Hz * (1 - 1e-9))
+        for each in self.sensors.values():
+            device = each.device
+            own = [Frame(of.id, bytes(of.length), of.flags) for of in device.messages]
+            polls = () if device.poll is None else (device.poll,)
+            found += each.on_bus((*own, *polls)) * ceil(each.rate_Hz / rate_Hz * (1 - 1e-9))
         return tuple(found)
+
+    def syncs(self, protocol: Family) -> tuple[Frame, ...]:
+        """SYNC frames to send in addition to those of the drives, one for each bus that needs one.
+
+        Raises ConfigurationError where the drives' own frames leave no identifier for it.
+        """
+        found: dict[int, Frame] = {}
+        traits = protocol.traits
+        used = [*traits.emergency_stop, *(frame for own in traits.identity_requests for frame in own)]
+        for each in self.sensors.values():
+            stamped = each.device.timing == STAMPED
+            if each.device.poll is not None or each.device.timing == FREE:
+                continue
+            sent = [f for f in traits.cyclic_frames if f.bus == each.bus and f.id == SYNC_ID]
+            if not any(f.bus == each.bus and f.id == SYNC_ID for f in used) and not sent:
+                both = stamped or (each.bus in found and len(found[each.bus].data) > 0)
+                found[each.bus] = Frame(SYNC_ID, bytes(_STAMP_BYTES * both), BUS * each.bus)
+                continue
+            fits = sent and traits.latches_together and (not stamped or len(sent[0].data) == _STAMP_BYTES)
+            if not fits:
+                raise ConfigurationError(
+                    f"sensors.{each.role}.device: needs the SYNC {'of sensors.dbc ' * stamped}with "
+                    f"identifier 0x{SYNC_ID:03X}, which drives of protocol {traits.family} there use "
+                    "otherwise; allowed there: a device with trigger free, cyclic or change, or a polled "
+                    "one; or give the sensor a bus of its own, an entry of bus.channels without legs"
+                )
+        return tuple(found.values())
+
+    def refuse_clashes(self, protocol: Family) -> None:
+        """Raise ConfigurationError for an identifier that two nodes of a bus use."""
+        taken = {(f.bus, f.id, f.flags & EXTENDED): "a drive" for f in protocol.traits.cyclic_frames}
+        for each in self.sensors.values():
+            mine = f"sensors.{each.role}"
+            frames = [Frame(of.id, b"", of.flags & EXTENDED) for of in each.device.messages]
+            for frame in each.on_bus(frames):
+                other = taken.setdefault((frame.bus, frame.id, frame.flags & EXTENDED), mine)
+                if other != mine or protocol.sender(frame) >= 0:
+                    raise ConfigurationError(
+                        f"{mine}: identifier 0x{frame.id:X} is also that of "
+                        f"{other.replace(mine, 'a drive')}, allowed: one node for each; change a node "
+                        "number, or give the sensor a bus of its own"
+                    )
+
+    def opening(self, drives: Callee, protocol: Family, rate_Hz: float) -> Callee:
+        """Function of the frames that start a tick at a loop of `rate_Hz`: the drives', then SYNC and polls.
+
+        drives: that of the drives alone. Arguments: (context, tick, address of elements of FRAME).
+        """
+        syncs = self.syncs(protocol)
+        polls = [
+            (frame, max(1, round(rate_Hz / each.rate_Hz)))
+            for each in self.sensors.values()
+            if each.device.poll is not None
+            for frame in each.on_bus([each.device.poll])
+        ]
+        every = [1] * len(syncs) + [ticks for _, ticks in polls]
+        frames, o = sent_array((*syncs, *(frame for frame, _ in polls))), np.zeros((), OPENED)
+        o["first"], o["context"] = drives.address, drives.context
+        o["frames"], o["count"] = data_at(frames), len(frames)
+        o["every"][: len(every)] = every
+        o["stamps"][: len(syncs)] = [len(frame.data) == _STAMP_BYTES for frame in syncs]
+        return Callee(_open.address, data_at(o), (o, frames, drives))
+
+    def begin(self, opening: Callee, number: int, into: Rows) -> Rows:
+        """Frames that start a tick, elements of FRAME, by the function of `opening`."""
+        return into[: _open(opening.keeps[0], number, data_at(into))]
+
+    def starts(self, number: int) -> bool:
+        """True while devices get their first frames."""
+        return 2 * number < len(self._starts)
+
+    def set_up(self, number: int, rate_Hz: float, heard: Reception) -> Rows:
+        """Frames that start the devices in a tick before the drives are powered.
+
+        Each is sent once, two a tick, and then again in turn to devices that are silent.
+        """
+        count = len(self._starts)
+        if self.starts(number):
+            return self._starts[2 * number : 2 * number + 2]
+        every = max(1, round(_START_EVERY_S * rate_Hz))
+        if count == 0 or number % every:
+            return NO_FRAMES
+        k = number // every % count
+        of = heard.slots[self._started[k]]
+        silent_s = (number - int(of["last_tick"])) / rate_Hz - float(of["last_s"])
+        return self._starts[k : k + 1] if silent_s > PATIENCE_S else NO_FRAMES
+
+
+def _sensors(role: str, settings: SensorRole, bus: BusSettings, folder: Path) -> Iterator[Sensor]:
+    try:
+        index = bus.index_of(settings.channel)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"sensors.{role}.channel: {error}") from error
+    nodes, there = settings.nodes, bus.buses[index]
+    for leg, slot in enumerate(_SLOTS[role]):
+        wanted = Wanted(role, nodes[leg], leg, settings.rate_Hz, folder)
+        try:
+            device = settings.device.device(wanted)
+        except HilError as error:
+            raise ConfigurationError(f"sensors.{role}.device.{error}") from error
+        longest = max(device.messages, key=lambda each: each.flags & FD)
+        if longest.flags & FD and there.layout == "classic":
+            raise ConfigurationError(
+                f"sensors.{role}: its frames of {longest.length} bytes need CAN FD, but bus {there.channel} "
+                "has layout classic; allowed: a bus of layout fd, such as one of its own (an entry of "
+                "bus.channels without legs and with layout: fd), or a device with classic frames "
+                "(device.protocol ati, cia404, cia406, dbc)"
+            )
+        yield Sensor(role, slot, index, settings.rate_Hz, device)
+
+
+def _tables(sensors: Iterable[Sensor]) -> Tables:
+    found, rows = no_sensors(), []
+    for each in sensors:
+        device, of = each.device, found.slots[each.slot : each.slot + 1]
+        of["present"], of["parts"], of["timing"] = 1, (1 << len(device.messages)) - 1, device.timing
+        of["latency_s"], of["gap_ns"], of["raw"] = device.latency_s, round(0.5e9 / each.rate_Hz), np.nan
+        if device.mix is not None:
+            of["mixes"], of["mix"] = 1, device.mix
+        rows += [_row(each, part, message) for part, message in enumerate(device.messages)]
+    return found._replace(rows=np.array(rows, ROW))
+
+
+def _row(sensor: Sensor, part: int, message: Message) -> Any:
+    row = np.zeros((), ROW)
+    row["id"], row["flags"], row["bus"], row["length"] = message.id, message.flags, sensor.bus, message.length
+    row["slot"], row["part"], row["exact"], row["checked"] = sensor.slot, part, message.exact, message.checked
+    row["fields"], row["conditions"] = len(message.fields), len(message.conditions)
+    if len(message.conditions) > CONDITIONS:
+        raise ConfigurationError(
+            f"sensors.{sensor.role}.device: more than {CONDITIONS} conditions for a message"
+        )
+    for k, field in enumerate(message.fields):
+        for name in ("start", "bits", "big", "kind", "to", "scale", "offset"):
+            row[name][k] = getattr(field, name)
+        ends = sorted(raw * field.scale + field.offset for raw in _ends(field.bits, field.kind))
+        row["low"][k] = ends[0] if field.low is None else field.low
+        row["high"][k] = ends[1] if field.high is None else field.high
+    for k, one in enumerate(message.conditions):
+        given = one.start, one.bits, one.big, one.mask, one.equals, one.selects
+        for name, value in zip(("at", "wide", "from_top", "mask", "equals", "selects"), given, strict=True):
+            row[name][k] = value
+    return row
+
+
+def _ends(bits: int, kind: int) -> tuple[float, float]:
+    """Smallest and largest raw value of a field."""
+    if kind == FLOAT:
+        most = float(np.finfo(np.float32 if bits == 32 else np.float64).max)
+        return -most, most
+    return (-float(1 << bits - 1), float((1 << bits - 1) - 1)) if kind else (0.0, float((1 << bits) - 1))

@@ -35,7 +35,9 @@ LegBits = IntFlag("LegBits", ["LEG_0", "LEG_1", "LEG_2", "LEG_3", "LEG_4", "LEG_
 Record = np.ndarray[Any, np.dtype[np.void]]
 """One TICK record, of no dimension: ``record["q"]`` is a view of that column."""
 
-Part = Literal["input", "measurement", "estimate", "fusion", "reference", "effort", "verdict", "output"]
+Part = Literal[
+    "input", "measurement", "sensed", "estimate", "fusion", "reference", "effort", "verdict", "output"
+]
 """Stage that fills a column."""
 
 
@@ -94,6 +96,7 @@ class Column(NamedTuple):
 PER_LEG = tuple(f"leg_{leg}" for leg in range(LEGS))
 XYZ = ("x", "y", "z")
 POSE = (*XYZ, "rx", "ry", "rz")
+MOTION = ("wx", "wy", "wz", "fx", "fy", "fz")
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 MATRIX = tuple(row + column for row in XYZ for column in XYZ)
@@ -106,6 +109,7 @@ def column(part: Part, name: str, kind: Any, unit: str, meaning: str, *elements:
 
 
 _ = column
+_AGE = "from the sensor's last sample to the SYNC of this tick; inf: none yet"
 RECORDED = (
     _("input", "tick", int, "", "number of the tick"),
     _("input", "t_ns", int, "ns", "scheduled time of the tick, monotonic clock"),
@@ -179,10 +183,23 @@ RECORDED = (
     _("verdict", "lyapunov_bound", float, "(m/s^2)^2", "the largest V that the law's certificate allows"),
     _("verdict", "lyapunov_share", float, "1", "largest sqrt(V) of an axis as a share of its limit"),
     _("effort", "probe_force", float, "N", "leg force added to test whether the leg moves", *PER_LEG),
+    _("sensed", "tracker_pose", float, "m, rad", "the tracker's last pose, base frame", *POSE),
+    _("sensed", "tracker_age", float, "s", _AGE),
+    _("sensed", "imu", float, "rad/s, m/s^2", "last rate and specific force, platform frame", *MOTION),
+    _("sensed", "imu_age", float, "s", _AGE),
+    _("sensed", "wrench_sensor_age", float, "s", _AGE),
+    _("sensed", "inclination", float, "rad", "last roll and pitch by the inclinometer", "roll", "pitch"),
+    _("sensed", "inclination_age", float, "s", _AGE),
+    _("sensed", "length_sensor", float, "m", "last leg length by its second encoder", *PER_LEG),
+    _("sensed", "length_sensor_age", float, "s", _AGE, *PER_LEG),
+    _("sensed", "force_sensor", float, "N", "last leg force by its load cell, > 0 extends", *PER_LEG),
+    _("sensed", "force_sensor_age", float, "s", _AGE, *PER_LEG),
 )
 """Columns of the log, in its order."""
-LATER = RECORDED[-1:]
-"""Columns that older logs lack: nan there, and not compared by a replay."""
+SENSED = tuple(each for each in RECORDED if each.part == "sensed")
+"""Last values of the sensors next to the drives, and their ages."""
+LATER = RECORDED[-len(SENSED) - 1 : -len(SENSED)], SENSED
+"""Columns that older logs lack, by the version that added them: nan there, and not compared by a replay."""
 WORKING = (
     _("measurement", "length", float, "m", "leg length that the drive last reported", *PER_LEG),
     _("measurement", "rate", float, "m/s", "leg rate that the drive last reported", *PER_LEG),
@@ -219,6 +236,8 @@ empty."""
 FIRST["tick"], FIRST["age"] = -1, NEVER
 for _unfilled in ("t_d", "encoder_share", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
     FIRST[_unfilled] = np.nan
+for _sensed in SENSED:
+    FIRST[_sensed.name] = np.inf if _sensed.name.endswith("_age") else np.nan
 FIRST.flags.writeable = False
 
 

@@ -1,13 +1,13 @@
 """Configuration section `plant`: physics, emulated drives and sensors of a simulated or virtual bus."""
 
+from math import radians
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, Union
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
-from drivers.config import PerLeg
 from drivers.registry import sections
-from drivers.section import Section
+from drivers.section import PerLeg, Section, of_leg
 from plant_fmu.faults import AnyFault
 
 if TYPE_CHECKING:
@@ -175,17 +175,42 @@ class FmuPlant(PlantModel):
         return names
 
 
+Three = tuple[float, float, float]
+_NONE: Three = (0.0, 0.0, 0.0)
+Errors = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+
+
 class SensorNode(Section):
     """Settings that the sections of all emulated sensors have."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 0.0
     """Time from the sample until its frame enters the bus."""
+    jitter_ms: Annotated[float, Field(ge=0, le=60)] = 0.0
+    """Further latency, drawn for each sample between 0 and this."""
+    time_offset_ms: float = 0.0
+    """Error of the time stamp, for devices that have one; > 0: the stamp is later than the sample."""
     lost_percent: Annotated[float, Field(ge=0, le=100)] = 0.0
     """Percentage of the samples that are lost before they become a frame."""
+    outlier_percent: Annotated[float, Field(ge=0, le=100)] = 0.0
+    """Percentage of the samples that are outliers."""
+    outlier_stds: Annotated[float, Field(ge=1)] = 100.0
+    """Noise of an outlier, in standard deviations of the others."""
+    frame_rotation_deg: Three = _NONE
+    """Rotation vector from the sensor's frame to the platform's; imu and wrench."""
+
+    def errors(self, _leg: int) -> Errors:
+        """Standard deviation of the noise, bias, and drift per second, of each of six quantities."""
+        raise NotImplementedError
+
+
+def _halves(*pairs: tuple[float | Three, float | Three]) -> Errors:
+    whole = [[(half,) * 3 if isinstance(half, float) else half for half in pair] for pair in pairs]
+    noise, bias, drift = ((*first, *second) for first, second in whole)
+    return noise, bias, drift
 
 
 class TrackerEmulation(SensorNode):
-    """Errors of the emulated pose tracker: white noise, bias, drift, and a constant error of its time stamps."""
+    """Errors of the emulated pose tracker: white noise, constant bias and drift."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 5.0
     """Time from the sample until its frame enters the bus."""
@@ -193,34 +218,107 @@ class TrackerEmulation(SensorNode):
     """Standard deviation of each coordinate of the position."""
     orientation_noise_deg: Annotated[float, Field(ge=0)] = 0.1
     """Standard deviation of the orientation about each axis."""
-    position_bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    position_bias_m: Three = _NONE
     """Offset of the tracker's frame from the base frame."""
-    rotation_bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation_bias_deg: Three = _NONE
     """Rotation vector from the base frame to the tracker's frame."""
-    position_drift_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Drift of its position, base frame, from zero at the start."""
-    stamp_error_ms: Annotated[float, Field(ge=0, le=20)] = 0.0
-    """Stamps are this much later than the samples, at most by the latency: later ones are ignored."""
+    position_drift_m_s: Three = _NONE
+    rotation_drift_deg_s: Three = _NONE
+
+    def errors(self, _leg: int) -> Errors:
+        """Of position and rotation, the latter in degrees."""
+        return _halves(
+            (self.position_noise_m, self.orientation_noise_deg),
+            (self.position_bias_m, self.rotation_bias_deg),
+            (self.position_drift_m_s, self.rotation_drift_deg_s),
+        )
 
 
 class ImuEmulation(SensorNode):
-    """Errors of the emulated IMU: white noise and constant biases."""
+    """Errors of the emulated IMU: white noise, constant biases and drift."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 0.2
     """Time from the sample until its frame enters the bus."""
     angular_rate_noise_rad_s: Annotated[float, Field(ge=0)] = 2e-3
     specific_force_noise_m_s2: Annotated[float, Field(ge=0)] = 0.05
-    angular_rate_bias_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    specific_force_bias_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angular_rate_bias_rad_s: Three = _NONE
+    specific_force_bias_m_s2: Three = _NONE
+    angular_rate_drift_rad_s2: Three = _NONE
+    specific_force_drift_m_s3: Three = _NONE
+
+    def errors(self, _leg: int) -> Errors:
+        """Of angular rate and specific force."""
+        return _halves(
+            (self.angular_rate_noise_rad_s, self.specific_force_noise_m_s2),
+            (self.angular_rate_bias_rad_s, self.specific_force_bias_m_s2),
+            (self.angular_rate_drift_rad_s2, self.specific_force_drift_m_s3),
+        )
 
 
 class WrenchEmulation(SensorNode):
-    """Errors of the emulated wrench sensor: white noise and constant bias."""
+    """Errors of the emulated wrench sensor: white noise, constant bias and drift."""
 
     force_noise_N: Annotated[float, Field(ge=0)] = 0.0
     moment_noise_N_m: Annotated[float, Field(ge=0)] = 0.0
-    force_bias_N: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    moment_bias_N_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    force_bias_N: Three = _NONE
+    moment_bias_N_m: Three = _NONE
+    force_drift_N_s: Three = _NONE
+    moment_drift_N_m_s: Three = _NONE
+
+    def errors(self, _leg: int) -> Errors:
+        """Of force and moment."""
+        return _halves(
+            (self.force_noise_N, self.moment_noise_N_m),
+            (self.force_bias_N, self.moment_bias_N_m),
+            (self.force_drift_N_s, self.moment_drift_N_m_s),
+        )
+
+
+class InclinationEmulation(SensorNode):
+    """The emulated inclinometer: white noise, bias and drift of both angles."""
+
+    noise_deg: Annotated[float, Field(ge=0)] = 0.01
+    bias_deg: float = 0.0
+    drift_deg_s: float = 0.0
+
+    def errors(self, _leg: int) -> Errors:
+        """Of roll and pitch."""
+        degrees = self.noise_deg, self.bias_deg, self.drift_deg_s
+        noise, bias, drift = ((radians(each),) * 2 + (0.0,) * 4 for each in degrees)
+        return noise, bias, drift
+
+
+def _of_leg(noise: float, bias: PerLeg, drift: PerLeg, leg: int) -> Errors:
+    first, second, third = ((each, *(0.0,) * 5) for each in (noise, of_leg(bias, leg), of_leg(drift, leg)))
+    return first, second, third
+
+
+class LengthEmulation(SensorNode):
+    """The emulated second encoder of each leg."""
+
+    noise_m: Annotated[float, Field(ge=0)] = 1e-6
+    bias_m: PerLeg = 0.0
+    """One for all legs, or six in leg order."""
+    drift_m_s: PerLeg = 0.0
+    """One for all legs, or six in leg order."""
+
+    def errors(self, leg: int) -> Errors:
+        """Of a leg's length."""
+        return _of_leg(self.noise_m, self.bias_m, self.drift_m_s, leg)
+
+
+class ForceEmulation(SensorNode):
+    """The emulated load cell of each leg."""
+
+    noise_N: Annotated[float, Field(ge=0)] = 1.0
+    bias_N: PerLeg = 0.0
+    """One for all legs, or six in leg order."""
+    drift_N_s: PerLeg = 0.0
+    """One for all legs, or six in leg order."""
+
+    def errors(self, leg: int) -> Errors:
+        """Of a leg's force."""
+        return _of_leg(self.noise_N, self.bias_N, self.drift_N_s, leg)
 
 
 class SensorEmulation(Section):
@@ -231,6 +329,9 @@ class SensorEmulation(Section):
     tracker: TrackerEmulation = TrackerEmulation()
     imu: ImuEmulation = ImuEmulation()
     wrench: WrenchEmulation = WrenchEmulation()
+    inclination: InclinationEmulation = InclinationEmulation()
+    lengths: LengthEmulation = LengthEmulation()
+    forces: ForceEmulation = ForceEmulation()
 
 
 PLANTS = sections("hil.plants", PlantModel, "type")

@@ -10,7 +10,18 @@ from drivers.arrays import Array, Rows
 from drivers.compiled.compiler import INTEGER, kernel, record, records
 from drivers.compiled.pointed import data_at
 from drivers.frame_array import FRAME
-from drivers.sensor_kernels import NEVER, SAMPLE, SENSORS, hear, no_sensors, unheard
+from drivers.sensing.kernels import hear
+from drivers.sensing.layout import (
+    IMU,
+    NEVER,
+    SAMPLE,
+    SENSORS,
+    TRACKER,
+    WRENCH,
+    Reception,
+    no_sensors,
+    unheard,
+)
 from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
@@ -51,46 +62,50 @@ class Health(NamedTuple):
     missed: bool
 
 
-hear_frames = kernel(record(SENSORS), records(FRAME), INTEGER)(hear)
-"""Arguments: (record of SENSORS, elements of FRAME, tick). Reads the samples among a tick's frames."""
+hear_frames = kernel(record(SENSORS), records(FRAME), INTEGER, INTEGER, INTEGER)(hear)
+"""Arguments: (record of SENSORS, elements of FRAME, tick, its begin, end of its SYNC); reads the samples."""
+_SLOTS = [TRACKER, IMU, WRENCH]
 
 
 def decode(protocol: SensorProtocol, frames: Rows, tick: int, before: Readings) -> Readings:
     """Samples among a tick's frames."""
-    sensors, samples = unheard(protocol.tables)
-    sensors["counter"] = before.counters
-    hear_frames(sensors, frames, tick)
-    return of_record(sensors, samples)
+    sensors = unheard(protocol.tables)
+    sensors.slots["counter"][_SLOTS] = before.counters
+    hear_frames(sensors.record, frames, tick, 0, 0)
+    return of_record(sensors)
 
 
-def of_record(sensors: Record, samples: Rows) -> Readings:
+def of_record(sensors: Reception) -> Readings:
     kinds = [
-        tuple(Sample(int(s["tick"]), float(s["offset_s"]), tuple(s["values"].tolist())) for s in row[:count])
-        for row, count in zip(samples, sensors["count"].tolist(), strict=True)
+        tuple(
+            Sample(int(s["tick"]), float(s["offset_s"]), tuple(s["values"].tolist()))
+            for s in sensors.samples[slot, : sensors.slots["count"][slot]]
+        )
+        for slot in _SLOTS
     ]
-    numbers = int(sensors["rejected"]), int(sensors["lost"]), tuple(sensors["counter"].tolist())
-    return Readings(*kinds, *numbers)  # type: ignore[arg-type, call-arg]
+    counters = tuple(sensors.slots["counter"][_SLOTS].tolist())
+    return Readings(*kinds, int(sensors.record["rejected"]), int(sensors.record["lost"]), counters)  # type: ignore[arg-type, call-arg]
 
 
-def as_record(readings: Readings) -> tuple[Record, Rows]:
-    """Readings as a record of SENSORS, with the samples at its address."""
-    sensors, samples = unheard(no_sensors())
-    for kind, own in enumerate(readings[:3]):
-        sensors["count"][kind] = len(own)
-        samples[kind, : len(own)] = np.array([tuple(sample) for sample in own], SAMPLE)
-    sensors["rejected"] = readings.rejected
-    return sensors, samples
+def as_record(readings: Readings) -> Reception:
+    """Readings as a reception."""
+    sensors = unheard(no_sensors())
+    for slot, own in zip(_SLOTS, readings[:3], strict=True):
+        sensors.slots["count"][slot] = len(own)
+        sensors.samples[slot, : len(own)] = np.array([tuple(sample) for sample in own], SAMPLE)
+    sensors.record["rejected"] = readings.rejected
+    return sensors
 
 
 def update(
     found: FusedEstimator, tick: Record, t_ns: int | None, readings: Readings, command: Array, wrench: Array
 ) -> Health:
     """Fill a tick, latched at t_ns, as the compiled pass does; return the health of the filter."""
-    sensors, _samples = as_record(readings)
+    sensors = as_record(readings)
     if t_ns is not None:
         tick["t_ns"], tick["lateness_ns"], tick["latch_ns"] = t_ns, 0, 0
     force, load = (np.ascontiguousarray(each, np.float64) for each in (command, wrench))
-    assert fuse(found.record, sensors, data_at(force), data_at(load), tick) == 0
+    assert fuse(found.record, sensors.record, data_at(force), data_at(load), tick) == 0
     f: Any = found.record
     lost, slipped = (
         tuple(bool(bits >> leg & 1) for leg in range(LEGS))

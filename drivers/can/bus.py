@@ -226,11 +226,12 @@ class Bus(Source):
     def skew_ns(self) -> int:
         """Time between the first frames of the last `send` on the earliest and the latest bus, ns.
 
-        Times are those of `sent_ns`; a bus that accepted no frame does not count. 0 on a single bus.
+        Times are those of `sent_ns`; a bus that had or accepted no frame does not count. 0 on a single bus.
         """
         if len(self._links) == 1:
             return 0
-        first = [times[0] for link in self._links if (times := link.sent_ns())]
+        asked = [link for bus, link in enumerate(self._links) if bus in self._order or not self._order]
+        first = [times[0] for link in asked if (times := link.sent_ns())]
         return max(first, default=0) - min(first, default=0)
 
     def sent_ns(self) -> Sequence[int | None]:

@@ -353,7 +353,10 @@ def command(c: Any, number: int, mode: int, stop: int, force_at: int, into: int)
             frame.data[k], frame.data[2 + k] = word >> 8 * k & 0xFF, torque >> 8 * k & 0xFF
     if number % c.beat:
         return LEGS
+    count = LEGS
     for bus in range(c.buses):
-        begin_sent(sent[LEGS + bus], o.HEARTBEAT_ID + c.controller, 1, 0, bus)
-        sent[LEGS + bus].data[0] = o.OPERATES
-    return LEGS + int(c.buses)
+        if place_of(bus, c.bus_of) >= 0:
+            begin_sent(sent[count], o.HEARTBEAT_ID + c.controller, 1, 0, bus)
+            sent[count].data[0] = o.OPERATES
+            count += 1
+    return count

@@ -172,7 +172,7 @@ class LegsProtocol(Family):
         steps = 1 << force.places[0][1] - 1
         least, most = (force.low[0], force.high[0]) if self.exact else (-steps, steps - 1)
         t["step"], t["least"], t["most"] = force.scale[0], least, most
-        rows = [row for bus in range(len(self.legs)) for row in self._command_rows(bus)]
+        rows = [row for bus, legs in enumerate(self.legs) if legs for row in self._command_rows(bus)]
         self._commands = np.array(rows, COMMAND)
         t["commands"], t["frames"] = data_at(self._commands), len(rows)
 

@@ -97,7 +97,7 @@ def drive_setup(configuration: Configuration, rate_Hz: float, watchdog_s: float 
 
 def build_sensors(configuration: Configuration) -> SensorProtocol | None:
     """Codec of the configured sensors, for both ends of the bus; None without sensors."""
-    sensors = SensorProtocol(configuration.bus, configuration.sensors)
+    sensors = SensorProtocol(configuration.bus, configuration.sensors, configuration.folder)
     return sensors if sensors.kinds else None
 
 
@@ -374,8 +374,9 @@ def record(
 def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
     """DBC files (name, bytes) of drive protocol and sensors, stored in a log to decode its frames."""
     sensors = build_sensors(configuration)
-    ours = build_protocol(configuration).traits.database, None if sensors is None else sensors.database
-    return [(each[0], each[1].encode()) for each in ours if each is not None]
+    own = build_protocol(configuration).traits.database
+    ours = (*(() if own is None else (own,)), *(() if sensors is None else sensors.databases))
+    return [(name, text.encode()) for name, text in ours]
 
 
 def version_of(database: str) -> str:

@@ -11,13 +11,20 @@ from hil.app.compose import NAMED_FILES
 from hil.app.configuration.configuration import Configuration
 
 
+def sensor_files(configuration: Configuration) -> dict[str, str]:
+    """Roles of sensors whose device refers to a DBC file, and the name of that file in a log."""
+    roles = {role: settings for role, settings in configuration.sensors if settings is not None}
+    return {role: f"sensors.{role}.dbc" for role, each in roles.items() if hasattr(each.device, "file")}
+
+
 @contextmanager
 def attached(configuration: Configuration, files: Mapping[str, bytes]) -> Iterator[Configuration]:
     """Yield a configuration whose files come from a log, in a temporary folder; unchanged without files.
 
     Raises LogError, as `with_attachments`; OSError where the temporary folder cannot be written.
     """
-    if not any(isinstance(getattr(configuration, section), kind) for _, section, _, kind, _ in NAMED_FILES):
+    named = any(isinstance(getattr(configuration, section), kind) for _, section, _, kind, _ in NAMED_FILES)
+    if not named and not sensor_files(configuration):
         yield configuration
         return
     with tempfile.TemporaryDirectory(prefix="hil-log-files-") as folder:
@@ -32,17 +39,27 @@ def with_attachments(configuration: Configuration, files: Mapping[str, bytes], f
 
     Raises LogError where the configuration refers to a file that the log does not have.
     """
-    changes: dict[str, Any] = {}
-    for name, section, key, kind, _ in NAMED_FILES:
-        settings = getattr(configuration, section)
-        if not isinstance(settings, kind):
-            continue
+
+    def written(name: str, where: str) -> str:
         if name not in files:
             raise LogError(
-                f"the configuration in the log refers to a file in {section}.{key} that the log does not "
-                f"carry (attachment {name}): replay reads no other file"
+                f"the configuration in the log refers to a file in {where} that the log does not carry "
+                f"(attachment {name}): replay reads no other file"
             )
         path = folder.absolute() / name
         path.write_bytes(files[name])
-        changes[section] = settings.model_copy(update={key: str(path)})
+        return str(path)
+
+    changes: dict[str, Any] = {}
+    for name, section, key, kind, _ in NAMED_FILES:
+        settings = getattr(configuration, section)
+        if isinstance(settings, kind):
+            changes[section] = settings.model_copy(update={key: written(name, f"{section}.{key}")})
+    sensors = {}
+    for role, name in sensor_files(configuration).items():
+        settings = getattr(configuration.sensors, role)
+        device = settings.device.model_copy(update={"file": written(name, f"sensors.{role}.device.file")})
+        sensors[role] = settings.model_copy(update={"device": device})
+    if sensors:
+        changes["sensors"] = configuration.sensors.model_copy(update=sensors)
     return configuration.model_copy(update=changes)

@@ -101,7 +101,9 @@ def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[
     if difference:
         raise _other_version(log, f"its columns differ ({difference})", "replay")
     configuration = loads(log.configuration, f"{path}:config.yaml")
-    changed = [(name, text) for name, text in databases(configuration) if log.attachments.get(name) != text]
+    with attached(configuration, log.attachments) as own:
+        ours = databases(own)
+    changed = [(name, text) for name, text in ours if log.attachments.get(name) != text]
     if changed:
         name, text = changed[0]
         there = version_of(log.attachments.get(name, b"").decode("ascii", "replace"))

@@ -1,12 +1,15 @@
-"""Contract suites for laws and drive protocols, ours and those of other packages.
+"""Contract suites for laws, drive protocols and sensors, ours and those of other packages.
 
-A test class inherits one: `hil.contracts.law.LawContract`, `hil.contracts.trouble.TroubleContract`. pytest
-loads this file through an entry point, so that assertions in the suites show their values.
+A test class inherits one: `hil.contracts.law.LawContract`, `hil.contracts.trouble.TroubleContract`,
+`hil.contracts.sensor.SensorContract`. pytest loads this file through an entry point, so that assertions in
+the suites show their values.
 """
 
 import pytest
 
-pytest.register_assert_rewrite("hil.contracts.law", "hil.contracts.protocol", "hil.contracts.trouble")
+pytest.register_assert_rewrite(
+    "hil.contracts.law", "hil.contracts.protocol", "hil.contracts.sensor", "hil.contracts.trouble"
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -8,10 +8,11 @@ from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import Callee, address_of, call, data_at, pointed, reals_at
 from drivers.frame_pointers import frames_at
-from drivers.sensor_kernels import SENSORS, hear, samples_of
-from drivers.sensor_kernels import WRENCH as WRENCH_SENSOR
+from drivers.sensing.kernels import fill_columns, hear, latched_ns, slots_at
+from drivers.sensing.layout import SENSORS, SLOTS
+from drivers.sensing.layout import WRENCH as WRENCH_SENSOR
 from drivers.signals import LEGS
-from drivers.tick_columns import TICK, Record
+from drivers.tick_columns import TICK, Record, part
 from hil.estimation.observer import WrenchObserver
 from hil.mathematics.vectors import at, rotate
 
@@ -51,24 +52,26 @@ def _fill(k: Any, fusing: int, tick: Any) -> int:
     INTEGER,
     INTEGER,
     INTEGER,
-    record(TICK, "tick", "rejected", "sensors_rejected"),
+    record(TICK, "tick", "t_ns", "lateness_ns", "latch_ns", "rejected", "sensors_rejected", *part("sensed")),
 )
 def hear_sensors(k: Any, sensors: Any, frames: int, count: int, R: int, tick: Any) -> int:
-    """Read a tick's sensor samples from `count` FRAME records at an address; count the refused ones.
+    """Read a tick's sensor samples from `count` FRAME records at an address; fill in their columns.
 
     R: address of the platform's rotation (3, 3), which turns the wrench sensor's samples to the base frame.
     """
-    hear(sensors, frames_at(frames, count), tick.tick)
-    newest = sensors.count[WRENCH_SENSOR] - 1
-    if newest >= 0:
-        values, rotation = samples_of(sensors, WRENCH_SENSOR)[newest].values, reals_at(R, (3, 3))
+    began_ns = tick.t_ns + tick.lateness_ns
+    hear(sensors, frames_at(frames, count), tick.tick, began_ns, latched_ns(tick))
+    of = slots_at(sensors.slots, SLOTS)[WRENCH_SENSOR]
+    if of.count > 0:
+        rotation = reals_at(R, (3, 3))
         for half in range(2):
-            turned = rotate(rotation, at(values, 3 * half))
+            turned = rotate(rotation, at(of.last, 3 * half))
             for i in range(3):
                 k.reading[3 * half + i] = turned[i]
         k.read_at = tick.tick
     tick.sensors_rejected = sensors.rejected
     tick.rejected += sensors.rejected
+    fill_columns(sensors, tick, k.period_s)
     return 0
 
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.pointed import Callee, context_of, data_at
-from drivers.config import ImuSettings, TrackerSettings
+from drivers.sensing.settings import ImuSettings, TrackerSettings
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings

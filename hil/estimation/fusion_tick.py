@@ -8,7 +8,8 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, helper, kernel, record
 from drivers.compiled.pointed import address_of, integers_at, pointed, reals_at
-from drivers.sensor_kernels import IMU, SENSORS, TRACKER, samples_of
+from drivers.sensing.kernels import count_of, latched_ns, samples_of
+from drivers.sensing.layout import IMU, SENSORS, TRACKER
 from drivers.signals import LEGS, DriveState, Fault, Warn
 from drivers.tick_columns import TICK
 from hil.estimation.fusion_kernels import covariances_of, fill_estimate, rerun_kernel, steps_at
@@ -27,17 +28,6 @@ STANDING_m_s = 5e-3
 _ALL_LEGS = (1 << LEGS) - 1
 _NOWHERE = -1
 _STEP_WORDS = STEP.itemsize // 8
-
-
-@helper
-def latched_ns(tick: Any) -> int:
-    """Time at which the first encoder of a tick was sampled, ns."""
-    first = np.int64(0)
-    for leg in range(LEGS):
-        at_ns = tick.latch_ns[leg]
-        if at_ns and (first == 0 or at_ns < first):
-            first = at_ns
-    return tick.t_ns + tick.lateness_ns + first  # type: ignore[no-any-return]
 
 
 latched_at = kernel(record(TICK, "t_ns", "lateness_ns", "latch_ns"))(latched_ns)
@@ -118,7 +108,7 @@ def _place(f: Any, sensors: Any) -> tuple[int, int]:
     first, tracked, zero = f.newest, _NOWHERE, np.zeros(3)
     for kind in (TRACKER, IMU):
         samples = samples_of(sensors, kind)
-        for n in range(sensors.count[kind]):
+        for n in range(count_of(sensors, kind)):
             i, share = _interval_of(f, samples[n])
             if i == _NOWHERE:
                 continue

@@ -67,7 +67,7 @@ class Control:
             homing = cycle.homing.record
             homing["decode"], homing["codec"] = end.decode, end.codec
             c["decode"], c["decoder"] = homing_kernels.decode.address, data_at(homing)
-        c["sensors"] = data_at(cycle.sight.sensors)
+        c["sensors"] = data_at(cycle.sight.sensors.record)
         if parts.steering is not None:
             c["steer"], c["live"] = parts.steering.trajectory.steer[:2]
             c["judge"], c["admission"] = parts.steering.judge[:2]

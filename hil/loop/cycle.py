@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from drivers.arrays import ZERO6, Rows
+from drivers.compiled.pointed import Callee
 from drivers.controller_end import MOST_FRAMES
 from drivers.frame_array import FRAME, sent_array
 from drivers.signals import DriveMode, Fault, Mode, Stop
@@ -68,6 +69,10 @@ class Cycle:
         self._torque_off = parts.reactions.led_to("sto")
         self.end = parts.protocol.controller_end(parts.setup)
         """The dialogue with the drives."""
+        self.opening = Callee(self.end.opening, self.end.opener, self.end)
+        """Function of the frames that start a tick: arguments (context, tick, address of FRAME)."""
+        if parts.sensors is not None:
+            self.opening = parts.sensors.opening(self.opening, parts.protocol, parts.rate_Hz)
         self.control = Control(self)
         """The record shared with compiled code."""
         self.reset()
@@ -107,7 +112,8 @@ class Cycle:
 
     def begin(self, tick: int) -> Rows:
         """Frames that start a tick (SYNC or polls), FRAME records; drives answer them with feedback."""
-        return self.end.begin(tick)
+        sensors, into = self.parts.sensors, np.empty(MOST_FRAMES, FRAME)
+        return self.end.begin(tick) if sensors is None else sensors.begin(self.opening, tick, into)
 
     def step(self, inp: TickInput) -> TickOutput:
         """Run one tick; returns the frames to send and the row to record."""
@@ -180,7 +186,7 @@ class Cycle:
         if stops and not off:  # else OFF is the stop
             frames.insert(0, sent_array(parts.protocol.traits.emergency_stop))
         if self.mode in {Mode.WAITING, Mode.FAULT}:
-            frames.append(self.end.set_up(tick))
+            frames += [self.end.set_up(tick), self.sight.set_up(inp.tick)]
         return np.concatenate(frames) if len(frames) > 1 else frames[0]
 
     # -- modes ---------------------------------------------------------------------------------------
@@ -214,6 +220,7 @@ class Cycle:
             tick["drive_state"].tolist(),
             self.mode in modes.BEFORE
             and self.homing.known
+            and not self.sight.starts(number)
             and ready(tick, self.mode, self.end.legs_set_up(), located=self.sight.located),
             elapsed,
             self._finished(tick),

@@ -148,8 +148,9 @@ class Block(NamedTuple):
         words = self.ticks.records[self.span].view(np.int64)[:, :_ROW_WORDS]
         recorded = self.recorded.view(np.float64).reshape(count, _ROW_WORDS)
         unlike = words != recorded.view(np.int64)
-        if np.isnan(recorded[:, -_LATER_WORDS:]).all():
-            unlike[:, -_LATER_WORDS:] = False
+        for new in _LATER_WORDS:
+            if np.isnan(recorded[:, new]).all():
+                unlike[:, new] = False
         columns: Flags = unlike.any(axis=1)
         sent = [entry.sent_items for entry in self.entries]
         wire = np.zeros(count, np.bool_)
@@ -174,7 +175,11 @@ REPLAY = np.dtype([*part.ROW_OF_TICKS, *((name, "<i8") for name in ("entry", "ro
 """The fields of a row of ticks, then of the recorded ticks: index of the next one; addresses of their rows,
 of their received frames, and of the bounds of these, (n + 1,)."""
 _ROW_BYTES, _ROW_WORDS = ROW.itemsize, ROW.itemsize // 8
-_LATER_WORDS = sum(c.size for c in LATER)
+_PLACES: Any = ROW.fields
+_LATER_WORDS = [
+    slice(_PLACES[new[0].name][1] // 8, _PLACES[new[-1].name][1] // 8 + new[-1].size) for new in LATER
+]
+"""Places in a row of the columns that each version added."""
 
 
 @helper
@@ -316,7 +321,7 @@ def _compare(comparison: Comparison, block: Block, k: int, *, wire: bool) -> Non
 
 
 def _compared(recorded: np.void) -> list[str]:
-    lacking = {c.name for c in LATER if np.isnan(recorded[c.name]).all()}
+    lacking = {c.name for new in LATER if all(np.isnan(recorded[c.name]).all() for c in new) for c in new}
     return [name for name in COMPUTED_COLUMNS if name not in lacking]
 
 

@@ -2,8 +2,9 @@
 
 from math import inf
 
-from drivers.arrays import Array
-from drivers.sensor_kernels import NEVER, no_sensors, unheard
+from drivers.arrays import Array, Rows
+from drivers.frame_array import NO_FRAMES
+from drivers.sensing.layout import no_sensors, unheard
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
 from hil.estimation.pose import Estimator
@@ -24,15 +25,15 @@ class Sight:
         self.parts = parts
         self.period_s = 1.0 / parts.rate_Hz
         self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
-        self.sensors, self._samples = unheard(no_sensors() if parts.sensors is None else parts.sensors.tables)
-        """Last samples of the sensors, a record of SENSORS."""
+        self.sensors = unheard(no_sensors() if parts.sensors is None else parts.sensors.tables)
+        """Last samples of the sensors."""
         self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         self.reset()
 
     def reset(self) -> None:
         """Restore the state before the first tick."""
         self.estimator.reset(self.parts.home_p, self.parts.home_R)
-        self.sensors["counter"] = NEVER
+        self.sensors.forget()
         self.forget()
 
     def forget(self) -> None:
@@ -75,3 +76,12 @@ class Sight:
         if self.parts.fusion is not None:
             self.parts.fusion.begin(tick)
             self.fusing = True
+
+    def starts(self, number: int) -> bool:
+        """True while the sensors get their first frames."""
+        return self.parts.sensors is not None and self.parts.sensors.starts(number)
+
+    def set_up(self, number: int) -> Rows:
+        """Frames that start the sensors in a tick, elements of FRAME."""
+        sensors = self.parts.sensors
+        return NO_FRAMES if sensors is None else sensors.set_up(number, self.parts.rate_Hz, self.sensors)

@@ -188,7 +188,7 @@ class TickRow:
         self._begun, self._starts = new_record(), np.zeros(MOST_FRAMES, FRAME)
         put_input(self._begun, TickInput(0, 0))
         s["control"] = data_at(cycle.control.record)
-        s["opening"], s["opener"] = cycle.end.opening, cycle.end.opener
+        s["opening"], s["opener"] = cycle.opening.address, cycle.opening.context
         s["begun"], s["starts"] = data_at(self._begun), data_at(self._starts)
         self._given, self._decided = NOTHING, False
         self.new: slice[int, int, None] = slice(0, 0)

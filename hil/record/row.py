@@ -88,9 +88,11 @@ TICKS = Table("/tick", RECORDED)
 
 
 def completed(columns: tuple[Column, ...]) -> tuple[Column, ...]:
-    """Columns of a log; a log of ticks from an older version also gets the columns LATER."""
-    older = [c.name for c in RECORDED[: -len(LATER)]]
-    return (*columns, *LATER) if [c.name for c in columns] == older else columns
+    """Columns of a log, extended by those of LATER that it lacks if it is a log of ticks."""
+    names, missing = [c.name for c in columns], sum(LATER, ())
+    older = range(len(RECORDED) - len(missing), len(RECORDED))
+    is_older = len(names) in older and names == [c.name for c in RECORDED[: len(names)]]
+    return (*columns, *RECORDED[len(names) :]) if is_older else columns
 
 
 def describe(columns: Sequence[Column]) -> str:

@@ -179,6 +179,11 @@ class Nodes:
         return int(self._record["now_ns"])
 
     @property
+    def unasked(self) -> bool:
+        """True if a node sends readings by a clock of its own, without a time stamp."""
+        return self._protocol.traits.unasked_s > 0.0
+
+    @property
     def next_reading_ns(self) -> int:
         """Time at which the next drive sends an unrequested reading, ns."""
         return int(self._record["reading_ns"])

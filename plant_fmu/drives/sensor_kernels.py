@@ -1,32 +1,48 @@
-"""Emulated sensors in kernels: reception of SYNC, the pose between two time steps, bias and noise."""
+"""Emulated sensors, compiled: reception of SYNC, the pose between two grid points, bias and noise."""
 
-from math import atan2, pi, sin, sqrt
+from math import asin, atan2, pi, sin, sqrt
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, helper, kernel, record
+from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, helper, kernel, record
 from drivers.compiled.pointed import pointed, reals_at, record_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import frame_at
 from drivers.legs.kernels import STRANGE, intact
-from drivers.sensor_kernels import IMU, QUANTITIES, SENSORS, TRACKER, put_sample
+from drivers.sensing.kernels import put_sample, rows_at, slots_at
+from drivers.sensing.layout import (
+    FORCE,
+    IMU,
+    INCLINATION,
+    LENGTH,
+    QUANTITIES,
+    SENSORS,
+    SLOTS,
+    STAMPED,
+    TRACKER,
+    WRENCH,
+)
+from drivers.signals import LEGS
 
 SENSED = np.dtype(
     [
-        *((name, "<i8") for name in ("sensors", "wrench", "sync_id", "before_ns", "start_ns")),
-        *((name, "<i8", (3,)) for name in ("heard_ns", "cycle", "late_ns")),
-        *((name, "<f8", (3, QUANTITIES)) for name in ("bias", "noise")),
+        *((name, "<i8") for name in ("sensors", "wrench", "length", "rate", "force")),
+        *((name, "<i8") for name in ("sync_id", "start_ns", "before_ns")),
+        *((name, "<i8", (SLOTS,)) for name in ("bus", "heard_ns", "cycle", "turns")),
+        *((name, "<f8", (SLOTS, QUANTITIES)) for name in ("bias", "noise", "drift")),
+        ("frame", "<f8", (SLOTS, 3, 3)),
         *((name, "<f8", (QUANTITIES,)) for name in ("drawn", "values")),
-        *((name, "<f8", (3,)) for name in ("gravity", "before", "acceleration", "drift", "stamped_s")),
+        *((name, "<f8", (3,)) for name in ("gravity", "before", "acceleration")),
     ]
 )
-"""Emulated sensors. Addresses of SENSORS and of the wrench (6,) N, N m on the platform; identifier of SYNC;
-instants of the velocity `before` and of the start. By kind: reception and counter of the last SYNC on its
-bus, latency in ns, bias and standard deviation of the noise (angles of the tracker in degrees). Random
-numbers drawn, measured values; gravity m/s^2, velocity m/s at `before_ns`, acceleration m/s^2 of the IMU;
-drift of the tracker m/s; by kind, error of the stamps s."""
+"""Emulated sensors. Addresses of SENSORS, of the wrench (6,) N, N m on the platform, of lengths (6,) m, rates
+(6,) m/s and forces (6,) N of the legs; identifier of SYNC; begin of the drift; instant of the velocity
+`before`. By slot: bus; reception and counter of the last SYNC on it; bias, standard deviation of the noise,
+and drift per second (angles of the tracker in degrees); if `turns`, rotation from the sensor's frame to the
+platform's. Random numbers drawn, measured values; gravity m/s^2, velocity m/s at `before_ns`, acceleration
+m/s^2 of the IMU."""
 SILENT = 1
 """Status of `measure`: the last SYNC is too long ago for a time stamp relative to it."""
 _LONGEST_STAMP_S = 0.0655
@@ -56,7 +72,7 @@ def turn(r: Array, R: Array) -> Array:
 
 @helper
 def carried(p: Array, R: Array, twist: Array, dt_s: float) -> tuple[Array, Array]:
-    """Position (3,) m and rotation (3, 3) after `dt_s` s at a constant twist (6,); all in the base frame."""
+    """Position (3,) m and rotation (3, 3) after `dt_s` at a constant twist (6,), base frame."""
     return p + dt_s * twist[:3], turn(dt_s * twist[3:], R)
 
 
@@ -90,42 +106,74 @@ def rotation_vector_of(r: Array, R: Array) -> Array:
 @pointed(record(SENSED), INTEGER)
 def listen(n: Any, frame_address: int) -> int:
     """Store the time and counter of a SYNC; other frames and damaged ones are ignored."""
-    frame, s = frame_at(frame_address), _sensors_at(n.sensors)
+    frame = frame_at(frame_address)
     is_sync = np.int64(frame.id) == n.sync_id and not frame.flags & STRANGE and frame.length == 2
     if is_sync and intact(frame):
-        for kind in range(3):
-            if frame.bus == s.bus[kind]:
-                n.heard_ns[kind], n.cycle[kind] = frame.t_ns, frame.data[0]
+        for slot in range(SLOTS):
+            if frame.bus == n.bus[slot]:
+                n.heard_ns[slot], n.cycle[slot] = frame.t_ns, frame.data[0]
     return 0
 
 
-@kernel(record(SENSED), INTEGER, INTEGER, INTEGER, INTEGER, VECTOR, MATRIX, VECTOR, record(FRAME))
-def measure(
-    n: Any, kind: int, counter: int, t_ns: int, grid_ns: int, p: Array, R: Array, twist: Array, frame: Any
-) -> int:
-    """Measure at `t_ns`, given pose and twist at the plant's last time step `grid_ns`, and fill in the frame.
+@helper
+def _on_platform(n: Any, slot: int, turned: Array, twist: Array, grid_ns: int) -> None:
+    """Fill the values of IMU and wrench sensor, in the sensor's frame."""
+    v = n.values
+    if slot == IMU:
+        if grid_ns > n.before_ns:
+            n.acceleration[:] = (twist[:3] - n.before) / ((grid_ns - n.before_ns) * 1e-9)
+        v[:3], v[3:] = twist[3:], n.acceleration - n.gravity
+    else:
+        v[:] = reals_at(n.wrench, QUANTITIES)
+    for k in (0, 3):
+        x, y, z = v[k], v[k + 1], v[k + 2]
+        for i in range(3):
+            v[k + i] = turned[0, i] * x + turned[1, i] * y + turned[2, i] * z
+        if n.turns[slot]:
+            x, y, z, F = v[k], v[k + 1], v[k + 2], n.frame[slot]
+            for i in range(3):
+                v[k + i] = F[0, i] * x + F[1, i] * y + F[2, i] * z
 
-    twist (6,) m/s, rad/s, base frame. Returns 0, SILENT if the last SYNC is too old, or FAILED for NaN.
-    """
-    there, turned = carried(p, R, twist, (t_ns - grid_ns) * 1e-9)
-    bias, noise, v = n.bias[kind], n.noise[kind] * n.drawn, n.values
-    if kind == TRACKER:
-        v[:3] = there + bias[:3] + noise[:3] + n.drift * ((t_ns - n.start_ns) * 1e-9)
+
+@kernel(record(SENSED), INTEGER, INTEGER, INTEGER, VECTOR, MATRIX, VECTOR)
+def measure(n: Any, slot: int, t_ns: int, grid_ns: int, p: Array, R: Array, twist: Array) -> int:
+    """Fill the measured values at `t_ns`, given the truth at the grid point; 0 or SILENT."""
+    dt_s = (t_ns - grid_ns) * 1e-9
+    there, turned = carried(p, R, twist, dt_s)
+    bias, noise, v = n.bias[slot].copy(), n.noise[slot] * n.drawn, n.values
+    for k in range(QUANTITIES):
+        if n.drift[slot, k] != 0.0:
+            bias[k] += n.drift[slot, k] * (t_ns - n.start_ns) * 1e-9
+    if slot == TRACKER:
+        v[:3] = there + bias[:3] + noise[:3]
         v[3:] = rotation_vector_of((bias[3:] + noise[3:]) * (pi / 180.0), turned)
     else:
-        if kind == IMU:
-            if grid_ns > n.before_ns:
-                n.acceleration[:] = (twist[:3] - n.before) / ((grid_ns - n.before_ns) * 1e-9)
-            v[:3], v[3:] = twist[3:], n.acceleration - n.gravity
+        if slot in (IMU, WRENCH):
+            _on_platform(n, slot, turned, twist, grid_ns)
+        elif slot == INCLINATION:
+            v[0], v[1] = atan2(turned[2, 1], turned[2, 2]), asin(-turned[2, 0])
+        elif slot < FORCE:
+            leg = slot - LENGTH
+            v[0] = reals_at(n.length, LEGS)[leg] + reals_at(n.rate, LEGS)[leg] * dt_s
         else:
-            v[:] = reals_at(n.wrench, QUANTITIES)
-        for k in (0, 3):
-            x, y, z = v[k], v[k + 1], v[k + 2]
-            for i in range(3):
-                seen = turned[0, i] * x + turned[1, i] * y + turned[2, i] * z
-                v[k + i] = seen + bias[k + i] + noise[k + i]
-    offset_s = (t_ns - n.heard_ns[kind]) * 1e-9 + n.stamped_s[kind]
-    if offset_s > _LONGEST_STAMP_S:
-        return SILENT
-    frame.t_ns = t_ns + n.late_ns[kind]
-    return put_sample(_sensors_at(n.sensors), kind, v, n.cycle[kind], offset_s, counter, frame)
+            v[0] = reals_at(n.force, LEGS)[slot - FORCE]
+        for k in range(QUANTITIES):
+            v[k] = v[k] + bias[k] + noise[k]
+    stamped = slots_at(_sensors_at(n.sensors).slots, SLOTS)[slot].timing == STAMPED
+    return SILENT if stamped and (t_ns - n.heard_ns[slot]) * 1e-9 > _LONGEST_STAMP_S else 0
+
+
+@kernel(record(SENSED), INTEGER, INTEGER, INTEGER, REAL, VECTOR, record(FRAME))
+def fill_frame(n: Any, row: int, counter: int, t_ns: int, late_s: float, raw: Array, frame: Any) -> int:
+    """Fill in the frame of a message with the quantities of its fields, measured at `t_ns`; 0 or FAILED.
+
+    late_s: error of its time stamp.
+    """
+    s = _sensors_at(n.sensors)
+    of = rows_at(s.rows, s.size)[row]
+    offset_s = (t_ns - n.heard_ns[of.slot]) * 1e-9
+    if slots_at(s.slots, SLOTS)[of.slot].timing != STAMPED:
+        offset_s = 0.0
+    elif late_s != 0.0:
+        offset_s = max(0.0, offset_s + late_s)
+    return put_sample(of, raw, n.cycle[of.slot], offset_s, counter, frame)

@@ -14,10 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import drivers
-from drivers.config import BusSettings, SensorSettings, TrackerSettings
+from drivers.config import BusSettings
 from drivers.legs.messages import COMMANDS
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
+from drivers.sensing.settings import SensorSettings, TrackerSettings
 from drivers.sensors import SensorProtocol
 from drivers.signals import NEVER, Command, DriveMode, DriveState, Reaction
 from hil.contracts.messages import DeviceCommand, Rejected
@@ -51,9 +52,11 @@ def damaged(frame: Frame, bit: int) -> Frame:
 # the DBC
 
 
-@pytest.mark.parametrize(("of", "name", "messages"), [(P["fd"], "legs.dbc", 37), (SENSORS, "sensors.dbc", 4)])
+@pytest.mark.parametrize(
+    ("of", "name", "messages"), [(P["fd"].database, "legs.dbc", 37), (SENSORS.databases[0], "sensors.dbc", 4)]
+)
 def test_dbc_loads_in_strict_cantools_without_a_warning(caplog, of, name, messages):
-    file, text = of.database
+    file, text = of
     with warnings.catch_warnings(), caplog.at_level(logging.WARNING):
         warnings.simplefilter("error")
         database: Any = cantools.database.load_string(text, "dbc", strict=True)

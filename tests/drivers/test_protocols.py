@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from drivers import build_protocol
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
@@ -20,6 +21,7 @@ from drivers.frame_array import received_array, received_frames, sent_frames
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import EXTENDED, FD, Frame, Received
 from drivers.registry import registered
+from drivers.sensors import SensorProtocol
 from drivers.signals import Command, DriveMode, DriveState, Mode
 from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
@@ -218,14 +220,15 @@ def test_invalid_settings_of_each_protocol_are_refused(row, changes, message):
     assert any(re.search(message, problem) for problem in caught.value.problems), caught.value.problems
 
 
-def test_sensors_are_refused_without_a_sync_for_their_stamp(row):
+def test_sensors_get_a_sync_for_their_stamp_where_the_drives_send_none(row):
     sensors = (
         ("layout: classic  ", "layout: fd  "),
         ("recording:\n", "sensors:\n  imu: {rate_Hz: 50}\n\nrecording:\n"),
     )
-    configuration(*sensors)
-    with pytest.raises(ConfigurationError, match=r"drives\.protocol: stub sends no SYNC"):
-        configuration((NODES, STUB_NODES), *sensors)
+    for drives, sent in (((), ()), (((NODES, STUB_NODES),), (Frame(0x080, bytes(2)),))):
+        c = configuration(*drives, *sensors)
+        own = SensorProtocol(c.bus, c.sensors)
+        assert own.syncs(build_protocol(c.bus, c.drives)) == sent
 
 
 def test_bus_index_is_in_the_flags_and_bus_0_changes_no_byte():

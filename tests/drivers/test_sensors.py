@@ -7,13 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
+from drivers.config import BusSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.kernels import check
 from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
-from drivers.sensor_kernels import OLDEST
-from drivers.sensors import KINDS, SensorProtocol
+from drivers.sensing.kernels import OLDEST
+from drivers.sensing.settings import ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
+from drivers.sensors import SensorProtocol
 from tests import sensor_samples
 from tests.sensor_samples import Readings
 
@@ -21,6 +22,7 @@ ALL = SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=Wrench
 P = SensorProtocol(BusSettings(), ALL)
 VALUES = (0.25, -0.5, 1.0, 0.1, -0.2, 3.0)
 STEP = {"tracker": [1e-7] * 3 + [2e-9] * 3, "imu": [2e-4] * 3 + [2e-3] * 3, "wrench": [1e-3] * 6}
+KINDS = ("tracker", "imu", "wrench")
 every_kind = pytest.mark.parametrize("kind", KINDS)
 
 

@@ -33,8 +33,12 @@ def test_new_record_is_that_before_the_first_tick():
     record: Any = t.new_record()
     assert (record["tick"], record["age"].tolist()) == (-1, [NEVER] * 6)
     nowhere = {name for name in t.COLUMNS if np.isnan(record[name].astype(float)).all()}
-    assert nowhere == {"t_d", "encoder_share"} | {f"lyapunov{k}" for k in ("", "_rate", "_bound", "_share")}
-    assert not any(record[name].any() for name in set(t.COLUMNS) - nowhere - {"tick", "age"})
+    sensed = {"tracker_pose", "imu", "inclination", "length_sensor", "force_sensor"}
+    lyapunov = {f"lyapunov{k}" for k in ("", "_rate", "_bound", "_share")}
+    assert nowhere == {"t_d", "encoder_share"} | lyapunov | sensed
+    never = {name for name in t.COLUMNS if name.endswith("_age") and np.isposinf(record[name]).all()}
+    assert len(never) == len(sensed) + 1, "an age of each, and of the wrench sensor"
+    assert not any(record[name].any() for name in set(t.COLUMNS) - nowhere - never - {"tick", "age"})
     other = t.copy_of(record)
     other["tick"] = 5
     assert [int(each["tick"]) for each in (record, t.FIRST, t.new_record())] == [-1, -1, -1]

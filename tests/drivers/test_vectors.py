@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 import drivers
-from drivers.config import BusSettings, ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
+from drivers.config import BusSettings
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, FD, Frame, Received
+from drivers.sensing.settings import ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.sensors import SensorProtocol
 from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.drives_end import reports

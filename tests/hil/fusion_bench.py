@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drivers.arrays import Array
-from drivers.config import ImuSettings, TrackerSettings
+from drivers.sensing.settings import ImuSettings, TrackerSettings
 from drivers.signals import DriveState
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.config import ImuSettings
+from drivers.sensing.settings import ImuSettings
 from hil.config.estimation import FusionSettings
 from hil.estimation.fusion_kernels import bend
 from tests.hil.fusion_bench import (

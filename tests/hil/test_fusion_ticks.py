@@ -9,7 +9,7 @@ import pytest
 
 from drivers.compiled.compiler import MATRIX, kernel, record
 from drivers.compiled.pointed import context_of
-from drivers.config import ImuSettings, TrackerSettings
+from drivers.sensing.settings import ImuSettings, TrackerSettings
 from drivers.signals import DriveState
 from drivers.tick_columns import TICK, part
 from hil.config.estimation import FusionSettings

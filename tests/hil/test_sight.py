@@ -11,10 +11,10 @@ import pytest
 
 from drivers.compiled.compiler import INTEGER
 from drivers.compiled.pointed import of_python
-from drivers.config import TrackerSettings, WrenchSensorSettings
 from drivers.frame_array import NO_FRAMES, received_array
 from drivers.protocol import Received
-from drivers.sensor_kernels import NEVER
+from drivers.sensing.layout import NEVER
+from drivers.sensing.settings import TrackerSettings, WrenchSensorSettings
 from drivers.sensors import SensorProtocol
 from drivers.tick_columns import tick_at
 from hil.app.compose import build_cycle
@@ -140,10 +140,12 @@ def test_a_repeated_sensor_sample_counts_only_after_a_reset(parts):
     cycle = Cycle(replace(parts, sensors=P))
     for heard in (1, 0):
         observe_in(cycle, record_of(tick=5), load_frames((1.0, 0.0)))
-        assert cycle.sight.sensors["count"].tolist() == [0, 0, heard], "the second one is a repetition"
+        assert cycle.sight.sensors.slots["count"][:3].tolist() == [0, 0, heard], (
+            "the second one is a repetition"
+        )
     cycle.sight.reset()
     observe_in(cycle, record_of(tick=5), load_frames((1.0, 0.0)))
-    assert cycle.sight.sensors["count"].tolist() == [0, 0, 1]
+    assert cycle.sight.sensors.slots["count"][:3].tolist() == [0, 0, 1]
 
 
 # -- the first pose
@@ -224,9 +226,9 @@ def test_search_starts_at_the_last_pose_and_after_a_reset_at_home(parts):
     for back, stays in ((sight.forget, True), (sight.reset, False)):
         sight.estimator.adopt(p, TURNED)
         sight.located = sight.sought = sight.due = sight.fusing = True
-        sight.sensors["counter"] = 3
+        sight.sensors.slots["counter"] = 3
         back()
         assert [sight.located, sight.sought, sight.due, sight.fusing] == [False] * 4
-        assert sight.sensors["counter"].tolist() == [3 if stays else NEVER] * 3
+        assert set(sight.sensors.slots["counter"].tolist()) == {3 if stays else NEVER}
         np.testing.assert_array_equal(sight.estimator.p, p if stays else parts.home_p)
         np.testing.assert_array_equal(sight.estimator.R, TURNED if stays else parts.home_R)

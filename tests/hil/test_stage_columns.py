@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.config import TrackerSettings
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received
+from drivers.sensing.settings import TrackerSettings
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick_columns import COLUMNS, Record, copy_of, part
 from hil.app.configuration.configuration import load

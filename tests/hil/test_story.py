@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from drivers.config import TrackerSettings
+from drivers.sensing.settings import TrackerSettings
 from drivers.signals import Doubt, DriveFault, DriveState, Fault, Foreign, Mode, Stop, Warn
 from hil.contracts.records import altered
 from hil.loop.story.faults import FAULTS

@@ -6,18 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.config import (
-    BusSettings,
-    DriveSettings,
-    ImuSettings,
-    SensorSettings,
-    TrackerSettings,
-    WrenchSensorSettings,
-)
+from drivers.config import BusSettings, DriveSettings
 from drivers.errors import PlantError
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
+from drivers.sensing.settings import ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.sensors import SensorProtocol
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
 from plant_fmu.drives.sensor_nodes import SensedNodes

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.config import SensorSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.protocol import Frame
+from drivers.sensing.settings import SensorSettings
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import FIRST, ROW
 from hil.app.configuration.configuration import load

@@ -49,8 +49,8 @@ def bus(r: Report) -> None:
     """Add the time budget of each bus to the report."""
     s, c = r.s, r.s.c
     names = zip(c.bus.buses, bus_names(c.bus), strict=True)
-    titles = [f"bus {each.interface} {name}, layout {c.bus.layout}" for each, name in names]
-    budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+    titles = [f"bus {each.interface} {name}, layout {each.layout}" for each, name in names]
+    budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz, c.folder)
     if not budgets:
         r.add(titles[0], "no bus time: this layout exists only in lockstep (hil sim)")
         return
@@ -71,11 +71,12 @@ def bus(r: Report) -> None:
             title,
             """
             highest rate at {allowed:g} %: {allowed_rate_Hz:.0f} Hz
-            SYNC to last feedback {feedback_us:.0f} us of a window of {s.window_us:.0f} us
+            SYNC to last feedback {answer_us:.0f} us of a window of {s.window_us:.0f} us
             set-up of the drives, brakes closed: {set_up_us:.0f} us more, {filled:.1f} % in total{waits}
             """,
             figures,
             allowed=budget.max_load_percent,
+            answer_us=answer_us or None,
             filled=filled if ns else None,
             waits="" if filled <= 100.0 else "; the rest waits for the next tick",
         )

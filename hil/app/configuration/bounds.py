@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.sensor_kernels import OLDEST
+from drivers.sensing.kernels import OLDEST
 from drivers.sensors import KINDS
 from drivers.transmission import forgotten_length
 from hil.app.configuration.yaml_positions import Path
@@ -123,6 +123,10 @@ AT_LEAST: Bounds = {
         lambda c: 0.0 if c.plant is None else 4 * c.plant.drives.encoder_resolution_m,
         "too close to the resolution of the encoders, 4 x plant.drives.encoder_resolution_m",
     ),
+    "sensors.tracker.latency_max_ms": (
+        lambda c: getattr(c.sensors.tracker.device, "latency_ms", 0.0),
+        "shorter than the latency of the device, sensors.tracker.device.latency_ms",
+    ),
     "plant.model.step_us": (_shortest_step_us, _STEPS),
     "plant.model.internal_step_us": (_shortest_step_us, _STEPS),
 }
@@ -131,7 +135,10 @@ AT_MOST: Bounds = {
         lambda c: c.drives.force_limit_N,
         "above the drives' rated force, drives.force_limit_N",
     ),
-    "sensors.*.rate_Hz": (lambda c: c.loop.rate_Hz, "more than one sample a tick of loop.rate_Hz"),
+    **{
+        f"sensors.{role}.rate_Hz": (lambda c: c.loop.rate_Hz, "more than one sample a tick of loop.rate_Hz")
+        for role in ("tracker", "imu", "wrench")
+    },
     "sensors.tracker.latency_max_ms": (
         lambda c: 1e3 * (OLDEST - 1) / c.loop.rate_Hz,
         f"older than a time stamp can express, {OLDEST - 1} ticks of loop.rate_Hz",
@@ -174,6 +181,14 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
         lambda c: c.estimation.pose == "fused" and c.bus.layout == "classic",
         "fused needs the drives' forces, which bus.layout classic does not carry, allowed with it: legs",
     ),
+    "sensors.imu": (
+        lambda c: (
+            c.estimation.pose == "fused"
+            and c.sensors.imu is not None
+            and len(getattr(c.sensors.imu.device, "signals", range(6))) < 6
+        ),
+        "estimation.pose fused needs angular rate and specific force, allowed with fewer signals: legs",
+    ),
     "estimation.wrench.source": (
         lambda c: c.estimation.wrench.source == "sensor" and c.sensors.wrench is None,
         "no sensors.wrench is configured, allowed without it: none, observer, given: sensor",
@@ -190,7 +205,9 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
         lambda c: (
             c.plant is not None
             and not isinstance(c.plant.model, StewartPlant)
-            and any(getattr(c.sensors, kind) is not None for kind in KINDS)
+            and any(
+                getattr(c.sensors, kind) is not None for kind in KINDS if kind not in ("lengths", "forces")
+            )
         ),
         "has no pose to measure, allowed with section sensors: stewart, given: {c.plant.model.type}",
     ),

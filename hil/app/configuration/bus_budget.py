@@ -3,14 +3,16 @@
 from collections import Counter
 from collections.abc import Iterable
 from math import floor
+from pathlib import Path
 from typing import NamedTuple, Self
 
 from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, frame_bits, frame_time_ns
-from drivers.config import BusSettings, DriveSettings, SensorSettings
+from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
 from drivers.protocol import EXTENDED, FD, DriveSetup, Frame
+from drivers.sensing.settings import SensorSettings
 from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS, DriveState
 
@@ -62,11 +64,11 @@ class BusBudget(NamedTuple):
         )
         return "\n".join(lines)
 
-    def require(self, where: str = "bus", *, either_layout: bool = False) -> Self:
+    def require(self, where: str = "bus", *, either_layout: bool = False, sensors: str = "") -> Self:
         """Check that the frames fit, and return the budget itself.
 
-        where: key of the bus, for the message. either_layout: the drives support CAN FD and classic frames.
-        Raises ConfigurationError with the computation if the frames do not fit.
+        where: key of the bus. either_layout: the drives support CAN FD and classic frames. sensors: what
+        would fit of them. Raises ConfigurationError with the arithmetic if the frames do not fit.
         """
         if self.load_percent <= self.max_load_percent * (1 + 1e-12):
             return self
@@ -78,7 +80,7 @@ class BusBudget(NamedTuple):
             f"{data_phase}, worst-case stuffing:\n{self.table()}\n"
             f"  these frames fit up to {self.allowed_rate_Hz:.0f} Hz ({self.highest_rate_Hz:.0f} Hz fill "
             "the bus): lower loop.rate_Hz, raise the bit rates, or spread the legs over several buses "
-            f"(bus.channels){instead}"
+            f"(bus.channels){instead}{sensors}"
         )
 
 
@@ -96,35 +98,57 @@ def budget(
 
 
 def bus_budgets(
-    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
+    bus: BusSettings,
+    drives: DriveSettings,
+    sensors: SensorSettings,
+    rate_Hz: float,
+    folder: Path | None = None,
 ) -> tuple[BusBudget, ...]:
     """Bus time of the fullest tick at `rate_Hz`, bus by bus; empty for layout ideal.
 
-    Raises ConfigurationError: a bus load above `max_load_percent` (with the computation), settings that the
-    protocol does not have, or sensors for which layout or protocol have no room.
+    folder: of the configuration, at which relative paths start. Raises ConfigurationError: a bus load above
+    `max_load_percent` (with the computation), settings that the protocol does not have, sensors for which
+    layout or protocol have no room, or a bus of nobody.
     """
-    nodes = SensorProtocol(bus, sensors)
+    nodes = SensorProtocol(bus, sensors, folder)
     protocol = build_protocol(bus, drives)
     try:
         protocol.controller_end(DriveSetup(1e-3 * drives.watchdog_ms, protocol.traits.reactions[0], rate_Hz))
     except ProtocolError as error:
         raise ConfigurationError(f"drives.watchdog_ms: {error}") from error
-    frames = protocol.traits.cyclic_frames
-    if nodes.kinds and all(frame.id != nodes.sync_id for frame in frames):
-        raise ConfigurationError(
-            f"drives.protocol: {drives.protocol} sends no SYNC, which sensors need for their time stamps"
-        )
+    measured = nodes.syncs(protocol) + nodes.cyclic_frames(rate_Hz)
+    nodes.refuse_clashes(protocol)
+    for index, legs in enumerate(bus.legs):
+        if not legs and index not in {each.bus for each in nodes.sensors.values()}:
+            raise ConfigurationError(f"bus.channels[{index}]: a bus needs legs or a sensor, given: neither")
     if bus.layout == "ideal":
         return ()
-    frames += nodes.cyclic_frames(rate_Hz) + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)
+    frames = protocol.traits.cyclic_frames + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)
     frames += timed_feedbacks(protocol, rate_Hz)
     found = []
     for index, each in enumerate(bus.buses):
-        own = [frame for frame in frames if frame.bus == index]
+        own, seen = ([frame for frame in some if frame.bus == index] for some in (frames, measured))
         where = f"bus.channels[{index}]" if bus.channels else "bus"
-        taken = budget(own, BitTiming.of(each), rate_Hz, each.max_load_percent)
-        found.append(taken.require(where, either_layout=drives.protocol == "legs"))
+        given = BitTiming.of(each), rate_Hz, each.max_load_percent
+        without, alone = budget(own, *given), budget(seen, *given)
+        remedy = _remedy(without, alone) if seen else ""
+        taken = budget([*own, *seen], *given)
+        found.append(taken.require(where, either_layout=drives.protocol == "legs", sensors=remedy))
     return tuple(found)
+
+
+def _remedy(without: BusBudget, alone: BusBudget) -> str:
+    """What would fit of the sensors on a bus, in words; empty if the bus is too full without them."""
+    if without.load_percent > without.max_load_percent:
+        return ""
+    left = without.max_load_percent - without.load_percent
+    text = (
+        f"; without the sensors it is {without.load_percent:.1f} %, they take {alone.load_percent:.1f} %: "
+        f"{left:.1f} % would fit, by fewer sensors or a lower sensors.*.rate_Hz"
+    )
+    if without.total_ns and alone.load_percent <= alone.max_load_percent:
+        text += "; all of them fit on a bus of their own, an entry of bus.channels without legs"
+    return text
 
 
 def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
@@ -181,16 +205,20 @@ def bus_names(bus: BusSettings) -> tuple[str, ...]:
     if not bus.channels:
         return (bus.channel,)
     return tuple(
-        f"{each.channel} (legs {', '.join(map(str, legs))})"
+        f"{each.channel} ({f'legs {numbers}' if (numbers := ', '.join(map(str, legs))) else 'sensors'})"
         for each, legs in zip(bus.buses, bus.legs, strict=True)
     )
 
 
 def loads(
-    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
+    bus: BusSettings,
+    drives: DriveSettings,
+    sensors: SensorSettings,
+    rate_Hz: float,
+    folder: Path | None = None,
 ) -> dict[str, object]:
     """Bus load, %, for a summary: the largest, and for several buses also the load of each channel."""
-    found = bus_budgets(bus, drives, sensors, rate_Hz)
+    found = bus_budgets(bus, drives, sensors, rate_Hz, folder)
     most = max((each.load_percent for each in found), default=None)
     if len(found) < 2:
         return {"bus_load_percent": most}

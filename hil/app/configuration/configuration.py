@@ -11,9 +11,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, create_model, field_validator
 
-from drivers.config import BusSettings, DriveSettings, SensorSettings
+from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.section import Section
+from drivers.sensing.settings import SensorSettings
 from hil.app.configuration.bounds import fitted
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.fault_rules import cannot_serve

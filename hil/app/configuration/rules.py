@@ -71,10 +71,13 @@ def _keyed(error: HilError, sections: str, key: Path) -> Finding:
     return tuple(int(w) if w.isdigit() else w for w in re.findall(r"\w+", named[1])), named[2]
 
 
-def bus_load(c: Sections, _: Folder) -> Iterator[Finding]:
+def bus_load(c: Sections, folder: Folder) -> Iterator[Finding]:
     """Check that protocol and sensors support the settings, and that the frames fit into the period."""
+    roles = [settings.device for _, settings in c.sensors if settings is not None]
+    if folder is None and any(hasattr(device, "file") for device in roles):
+        return
     try:
-        bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+        bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz, folder)
     except HilError as error:
         yield _keyed(error, "bus|drives|sensors", ("bus",))
 
@@ -84,15 +87,16 @@ def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
     taken = dict.fromkeys(c.drives.node_ids, "drives.node_ids")
     for kind in KINDS:
         settings = getattr(c.sensors, kind)
-        if settings is None:
+        if settings is None or not settings.device.has_node:
             continue
-        number = settings.node_id
-        if number in taken:
-            yield (
-                ("sensors", kind, "node_id"),
-                f"{number} is also in {taken[number]}, allowed: an unused number",
-            )
-        taken.setdefault(number, f"sensors.{kind}.node_id")
+        key = "node_ids" if len(settings.nodes) > 1 else "node_id"
+        for number in settings.nodes:
+            if number in taken:
+                yield (
+                    ("sensors", kind, key),
+                    f"{number} is also in {taken[number]}, allowed: an unused number",
+                )
+            taken.setdefault(number, f"sensors.{kind}.{key}")
 
 
 def geometry(c: Sections, _: Folder) -> Iterator[Finding]:

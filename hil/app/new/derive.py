@@ -10,9 +10,10 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from drivers import build_protocol
-from drivers.config import BusSettings, DriveSettings, SensorSettings
+from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.mit.fields import TURN
+from drivers.sensing.settings import SensorSettings
 from drivers.signals import LEGS
 from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.new import drives

@@ -214,7 +214,7 @@ def _summary(
         "trouble": ending.trouble or None,
         "story": fault_story(ending),
         "real_time": {"granted": granted.granted, "missing": granted.missing},
-        **loads(c.bus, c.drives, c.sensors, rate),
+        **loads(c.bus, c.drives, c.sensors, rate, c.folder),
         "resident_MB": resident_MB(),
         "dropped_ticks": dropped,
     }

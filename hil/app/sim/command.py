@@ -138,7 +138,7 @@ def simulate(
     c.require("sim")
     assert c.plant is not None
     rate = c.loop.rate_Hz
-    bus_load = loads(c.bus, c.drives, c.sensors, rate)
+    bus_load = loads(c.bus, c.drives, c.sensors, rate, c.folder)
     watchdog_s = c.drives.watchdog_ms * 1e-3
     keeper = Keeper(c, emulated=True)
     cycle = build_cycle(c, rate, watchdog_s, last_pose=keeper.last_pose)

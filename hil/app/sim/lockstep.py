@@ -76,7 +76,7 @@ class Lockstep:
         s["wires"] = data_at(self.wires.record)
         s["period_ns"], s["window_ns"] = self.period_ns, round(self.feedback_window_s * 1e9)
         s["compute_ns"] = round(self.compute_us * 1e3) if self.timings[0] else 0
-        s["unasked"], s["tick"] = protocol.traits.unasked_s > 0.0, self.tick + 1
+        s["unasked"], s["tick"] = self.nodes.unasked, self.tick + 1
         self._replies = NO_FRAMES
         self.nodes.start((self.tick + 1) * self.period_ns)
 

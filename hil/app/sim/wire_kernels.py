@@ -176,9 +176,11 @@ def _sent_ns(w: Any, frame: Any, t_ns: int) -> int:
 def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
     """Store when the frames that start the tick ended, for each leg, and the skew between the buses."""
     w.latch_ns[:] = 0
-    soonest = np.full(w.buses, FOREVER)
+    soonest = np.full(w.buses, ALWAYS)
     for n in range(opening.shape[0]):
         frame = opening[n]
+        if soonest[frame.bus] == ALWAYS:
+            soonest[frame.bus] = FOREVER
         sent_ns = _sent_ns(w, frame, t_ns)
         if sent_ns == FOREVER:
             continue
@@ -187,7 +189,11 @@ def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
         for leg in range(LEGS):
             if legs >> leg & 1:
                 w.latch_ns[leg] = sent_ns - t_ns
-    w.skew_ns = 0 if soonest.max() == FOREVER else soonest.max() - soonest.min()
+    first = FOREVER
+    for bus in range(w.buses):
+        if soonest[bus] != ALWAYS:
+            first = min(first, soonest[bus])
+    w.skew_ns = 0 if soonest.max() in (FOREVER, ALWAYS) else soonest.max() - first
 
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)

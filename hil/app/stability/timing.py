@@ -55,7 +55,7 @@ def to_spare(c: Configuration, margin_s: float) -> tuple[float, str]:
         silent_s = 1e-3 * c.drives.watchdog_ms - T
         rows.append((silent_s, f"drives.watchdog_ms {c.drives.watchdog_ms:g} ends a longer gap of commands"))
     if traits.answers_name_sync and c.bus.layout != "ideal":
-        budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+        budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz, c.folder)
         sent_s = 1e-9 * max(each.total_ns for each in budgets) + 1e-6 * COMPUTE_US
         until_s = max(0.0, T - (sent_s if stated_delay(c) is None else delay.transport_s))
         rows.append((until_s, "drives refuse commands after the next SYNC"))

@@ -103,7 +103,9 @@ def _inputs(c: Configuration) -> dict[str, tuple[Any, str]]:
     why = "it identifies the sensor's frames; none: the log has no such frames"
     for kind, sensor in c.sensors:
         if sensor is not None:
-            found |= {f"sensors.{kind}.{key}": (getattr(sensor, key), why) for key in ("node_id", "channel")}
+            keys = [key for key in ("node_id", "node_ids", "channel") if hasattr(sensor, key)]
+            found |= {f"sensors.{kind}.{key}": (getattr(sensor, key), why) for key in keys}
+            found[f"sensors.{kind}.device"] = (sensor.device.model_dump(exclude={"file"}), why)
     return found
 
 

@@ -84,6 +84,31 @@ PD = {"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
 AHEAD = {"controller": {"delay_compensation": {"bus_ms": 0.5}}}
 FROZEN = {"controller": {"model": {"variant": "constant", "frozen_at": {"position_m": [0, 0, 1]}}}}
 LOST = {"fusion": {"may_lose_legs": [0]}}
+SENSORS_DBC = str(Path(__file__).parents[3] / "docs/examples/sensors")
+
+
+def by_dbc(latency_ms: float) -> dict[str, Any]:
+    """A tracker by signals that stand for its pose, with a stated latency."""
+    signals = dict(zip(("x", "y", "z"), ("accX", "accY", "accZ"), strict=True))
+    signals |= dict(zip(("rx", "ry", "rz"), ("roll", "pitch", "yaw"), strict=True))
+    device = {
+        "protocol": "dbc",
+        "file": f"{SENSORS_DBC}/xsens_mti.dbc",
+        "signals": signals,
+        "latency_ms": latency_ms,
+    }
+    device["units"] = dict.fromkeys("xyz", "m")
+    sensors = {"tracker": {"rate_Hz": 100, "latency_max_ms": 10, "device": device}}
+    return {"sensors": sensors, "bus": {"max_load_percent": 90}}
+
+
+def imu_by_dbc(pose: str) -> dict[str, Any]:
+    """An IMU that gives specific forces only."""
+    signals = dict(zip(("fx", "fy", "fz"), ("accX", "accY", "accZ"), strict=True))
+    device = {"protocol": "dbc", "file": f"{SENSORS_DBC}/xsens_mti.dbc", "signals": signals}
+    return {"sensors": {"imu": {"rate_Hz": 100, "device": device}}, "estimation": {"pose": pose}}
+
+
 RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     # ranges
     "plant.model.internal_step_us": ("virtual", {"plant": {"model": {"internal_step_us": 0.1}}}, {"plant": {"model": {"internal_step_us": 0.05}}}, "at least 0.1"),
@@ -104,6 +129,9 @@ RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     "plant.drives.brake_close_ms": ("virtual", brakes(), brakes(brake_close_s=0.029), ""),
     "limits.standstill_m": ("virtual", {"plant": {"drives": {"encoder_resolution_m": 1.24e-4}}}, {"plant": {"drives": {"encoder_resolution_m": 1.26e-4}}}, "at least"),
     "sensors.tracker.latency_max_ms": ("virtual", tracked(125.9), tracked(126.1), ""),
+    "sensors.tracker.latency_max_ms ": ("virtual", by_dbc(9.0), by_dbc(11.0), "sensors.tracker.device.latency_ms"),
+    "sensors.imu": ("virtual", imu_by_dbc("legs"), imu_by_dbc("fused"), "angular rate and specific force"),
+    "bus.channels[1]": ("virtual", {}, {"bus": {"channels": [{"channel": "hil0", "legs": [0, 1, 2, 3, 4, 5]}, {"channel": "b"}]}}, "legs or a sensor"),
     "sensors.tracker.node_id": ("virtual", tracked(10), tracked(10) | {"drives": {"node_ids": [20, 2, 3, 4, 5, 6]}, "sensors": {"tracker": {"rate_Hz": 100, "latency_max_ms": 10, "node_id": 20}}}, "is also in drives.node_ids"),
     "estimation.fusion.may_lose_legs": ("virtual", tracked(10, **LOST), {"estimation": {"pose": "fused"} | LOST}, "given: [0]"),
     "drives.homing.limit_m": ("desktop", homed(0.00999), homed(0.01001), "less than 0.01"),

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from drivers.errors import ConfigurationError, LogError
-from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
+from drivers.sensing.settings import SensorSettings
+from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV, build_sensors, databases
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.recorded_files import with_attachments
@@ -51,6 +52,26 @@ def test_file_missing_from_the_log_is_reported_by_its_key(tmp_path, name):
     with pytest.raises(LogError, match=rf"a file in {section}\.{key} .* \(attachment {name}\)"):
         with_attachments(naming, files, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def inclined(file: str) -> Any:
+    """A configuration with an inclinometer by a DBC file."""
+    signals = {"roll": "SlopeLong", "pitch": "SlopeLateral"}
+    device = {"device": {"protocol": "dbc", "file": file, "signals": signals}}
+    return VIRTUAL.model_copy(update={"sensors": SensorSettings.model_validate({"inclination": device})})
+
+
+def test_dbc_of_a_sensor_goes_into_the_log_and_replay_reads_only_that(tmp_path):
+    example = Path(__file__).parents[3] / "docs/examples/sensors/cia410.dbc"
+    c, gone = inclined(str(example)), inclined("/gone.dbc")
+    files = dict(databases(c))
+    assert files["sensors.inclination.dbc"] == example.read_bytes()
+    found, expected = build_sensors(with_attachments(gone, files, tmp_path)), build_sensors(c)
+    assert found is not None
+    assert expected is not None
+    assert found.sensors == expected.sensors
+    with pytest.raises(LogError, match=r"a file in sensors\.inclination\.device\.file"):
+        with_attachments(gone, {}, tmp_path)
 
 
 def text(name: str) -> str:

@@ -23,7 +23,7 @@ from hil.record.log import Log
 
 TICKS = 12
 PARKED = Ending(Mode.PARKED, Fault.NONE, "", TICKS)
-C: Any = SimpleNamespace(source="a.yaml", controller=None, bus=None, drives=None, sensors=None)
+C: Any = SimpleNamespace(source="a.yaml", controller=None, bus=None, drives=None, sensors=None, folder=None)
 CYCLE: Any = SimpleNamespace(parts=SimpleNamespace(rate_Hz=1000.0, law=None))
 FULL = "disk_full: No space left on device"
 DAMAGED = "a.mcap: damaged at byte 4711"

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.config import ImuSettings, SensorSettings, TrackerSettings
+from drivers.sensing.settings import ImuSettings, SensorSettings, TrackerSettings
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load

@@ -1,0 +1,172 @@
+"""Any sensor whose frames a DBC describes, by the names of its signals."""
+
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field as Key
+
+from drivers.errors import ConfigurationError
+from drivers.files import read_regular
+from drivers.protocol import BRS, EXTENDED, FD
+from drivers.sensing.family import CHANNELS, UNITS, Condition, Device, Field, Message, Timed, Wanted
+from drivers.sensing.layout import FLOAT, SIGNED, UNSIGNED
+
+_MOST_BYTES = 4_000_000
+_g, _deg = 9.80665, 0.017453292519943295
+FACTORS: dict[str, dict[str, float]] = {
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "in": 0.0254},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": _deg, "degree": _deg, "degrees": _deg, "°": _deg},
+    "rad/s": {"rad/s": 1.0, "deg/s": _deg, "deg/sec": _deg, "°/s": _deg, "degree/s": _deg},
+    "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s/s": 1.0, "g": _g, "mg": 1e-3 * _g},
+    "N": {"N": 1.0, "kN": 1e3, "daN": 10.0, "kgf": _g, "lbf": 4.4482216152605},
+    "N m": {"N m": 1.0, "Nm": 1.0, "N.m": 1.0, "N*m": 1.0, "kNm": 1e3, "kN m": 1e3, "mNm": 1e-3},
+}
+"""SI unit -> units that a DBC may state, each with its factor."""
+_LONGEST = 56
+"""Bits within whole bytes that one field may span, but for fields of 64 bits on a byte boundary."""
+
+
+class DbcSensor(Timed):
+    """A sensor by the signals of a DBC file."""
+
+    protocol: Literal["dbc"]
+    has_node = False
+    file: str
+    """The DBC file, relative to the configuration file."""
+    signals: dict[str, str]
+    """Quantity -> signal, as `Signal` or `Message.Signal`. Quantities: x y z rx ry rz of tracker (rx ry rz is
+    the rotation vector), wx wy wz fx fy fz of imu, fx fy fz mx my mz of wrench, roll pitch of inclination,
+    leg_0 to leg_5 of lengths and forces."""
+    units: dict[str, str] = {}
+    """Quantity -> unit of its signal, where the DBC states none, or a wrong one."""
+    offsets: dict[str, float] = {}
+    """Quantity -> constant to add, SI: the leg length at position 0."""
+    negative: list[str] = []
+    """Quantities whose sign is opposite to that of their signal."""
+    valid: dict[str, int] = {}
+    """Signal -> raw value that marks its message's sample as valid."""
+    source_address: Annotated[int, Key(ge=0, le=253)] | None = None
+    """J1939: source address in the identifiers of 29 bits, in place of that of the DBC."""
+    trigger: Literal["sync", "free"] = "free"
+    """`sync`: sampled at every SYNC. `free`: by the device's own clock; the time of a sample is its arrival
+    less latency_ms."""
+
+    def device(self, wanted: Wanted) -> Device:
+        """Messages of one measurement."""
+        role, (name, text, database) = wanted.role, self._database(wanted.folder)
+        names = CHANNELS[role]
+        if strange := [each for each in {**self.signals, **self.units, **self.offsets} if each not in names]:
+            raise ConfigurationError(
+                f"signals: unknown quantity, allowed: {', '.join(names)}, given: {strange[0]}"
+            )
+        missing = [each for each in names if each not in self.signals]
+        if missing and (role not in ("imu", "inclination") or len(missing) == len(names)):
+            raise ConfigurationError(f"signals: incomplete, missing: {', '.join(missing)}")
+        own = (
+            {names[wanted.leg]: 0}
+            if role in ("lengths", "forces")
+            else dict(zip(names, range(6), strict=False))
+        )
+        messages: dict[str, tuple[Any, list[Field], list[Condition]]] = {}
+        for quantity, to in own.items():
+            if quantity in self.signals:
+                message, signal = _found(database, self.signals[quantity], name)
+                _, fields, conditions = messages.setdefault(message.name, (message, [], []))
+                unit = UNITS[role][names.index(quantity)]
+                fields.append(self._field(to, quantity, signal, unit))
+                conditions += [each for each in _selection(message, signal) if each not in conditions]
+        for signal_name, value in self.valid.items():
+            message, signal = _found(database, signal_name, name)
+            if message.name in messages:
+                start, bits, _, big = _place(signal)
+                mask = (1 << bits) - 1
+                messages[message.name][2].append(Condition(start, bits, value & mask, mask, big))
+        return self.timed(
+            self.trigger,
+            messages=tuple(self._message(*each) for each in messages.values()),
+            database=text,
+        )
+
+    def _database(self, folder: Path) -> tuple[str, str, Any]:
+        path = folder / self.file
+        data = read_regular(path, _MOST_BYTES)
+        try:
+            text = data.decode()
+        except UnicodeDecodeError:
+            text = data.decode("cp1252", errors="replace")
+        return path.name, text, _parsed(text, self.file)
+
+    def _field(self, to: int, quantity: str, signal: Any, si: str) -> Field:
+        unit = self.units.get(quantity, signal.unit or "")
+        factor = FACTORS[si].get(unit.strip())
+        if factor is None:
+            stated = f"the DBC states {unit!r}" if unit else "the DBC states no unit"
+            raise ConfigurationError(
+                f"units: {quantity}: {stated} for signal {signal.name}, allowed: {', '.join(FACTORS[si])}; "
+                f"state it as units: {{{quantity}: ...}}"
+            )
+        factor *= -1.0 if quantity in self.negative else 1.0
+        start, bits, kind, big = _place(signal)
+        scale, shift = float(signal.scale) * factor, self.offsets.get(quantity, 0.0)
+        low = high = None
+        if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
+            ends = sorted(float(end) * factor + shift for end in (signal.minimum, signal.maximum))
+            low, high = ends[0] - 0.5 * abs(scale), ends[1] + 0.5 * abs(scale)
+        return Field(to, start, bits, scale, float(signal.offset) * factor + shift, kind, big, low, high)
+
+    def _message(self, message: Any, fields: list[Field], conditions: list[Condition]) -> Message:
+        flags = EXTENDED * message.is_extended_frame | (FD | BRS) * message.is_fd
+        identifier = message.frame_id
+        if self.source_address is not None and message.is_extended_frame:
+            identifier = identifier & ~0xFF | self.source_address
+        return Message(identifier, message.length, tuple(fields), flags, tuple(conditions))
+
+
+@cache
+def _parsed(text: str, file: str) -> Any:
+    import cantools  # noqa: PLC0415 - takes a third of a second
+
+    try:
+        return cantools.database.load_string(text, "dbc", strict=False)
+    except Exception as error:
+        raise ConfigurationError(f"file: {file} is not a DBC: {error}") from error
+
+
+def _found(database: Any, wanted: str, file: str) -> tuple[Any, Any]:
+    """Message and signal of a name."""
+    message, _, signal = wanted.rpartition(".")
+    found = [
+        (each, one)
+        for each in database.messages
+        for one in each.signals
+        if one.name == signal and message in ("", each.name)
+    ]
+    if len(found) != 1:
+        what = "in several messages, allowed: Message.Signal" if found else "unknown"
+        where = ", ".join(f"{each.name}.{one.name}" for each, one in found)
+        raise ConfigurationError(f"signals: {wanted} of {file}: {what}{where and f', found: {where}'}")
+    return found[0]
+
+
+def _place(signal: Any) -> tuple[int, int, int, bool]:
+    """First bit, bits, kind and byte order of a signal."""
+    start, bits, big = int(signal.start), int(signal.length), signal.byte_order == "big_endian"
+    skipped = 7 - start % 8 if big else start % 8
+    if skipped + bits > _LONGEST and (skipped or bits != 64):
+        raise ConfigurationError(
+            f"signals: {signal.name} has {bits} bits from bit {start}, allowed: within {_LONGEST // 8} "
+            "bytes, or 64 bits on a byte boundary"
+        )
+    return start, bits, FLOAT if signal.is_float else SIGNED if signal.is_signed else UNSIGNED, big
+
+
+def _selection(message: Any, signal: Any) -> list[Condition]:
+    """Value of the multiplexer with which a frame has the signal."""
+    if not signal.multiplexer_ids:
+        return []
+    selector = message.get_signal_by_name(signal.multiplexer_signal)
+    if len(signal.multiplexer_ids) > 1 or selector.multiplexer_ids:
+        raise ConfigurationError(f"signals: {signal.name} is multiplexed twice, allowed: by one value")
+    start, bits, _, big = _place(selector)
+    return [Condition(start, bits, signal.multiplexer_ids[0], -1, big, selects=True)]

@@ -1,0 +1,99 @@
+"""Records of the sensors' codec: the table that both ends share, and the state of the reception."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Rows
+from drivers.compiled.pointed import data_at
+from drivers.signals import LEGS
+from drivers.tick_columns import Record
+
+TRACKER, IMU, WRENCH, INCLINATION, LENGTH = range(5)
+FORCE = LENGTH + LEGS
+SLOTS = FORCE + LEGS
+"""A slot is one measurement: the pose, ..., the length of leg i in LENGTH + i, its force in FORCE + i."""
+QUANTITIES = 6
+OFFSET, CYCLE, COUNTER, VALIDITY = range(QUANTITIES, QUANTITIES + 4)
+"""Targets of a field after the quantities: time after SYNC and its Cycle, counter of samples, validity."""
+FIELDS = QUANTITIES + 4
+UNSIGNED, SIGNED, FLOAT = range(3)
+"""Kinds of a field; FLOAT has 32 or 64 bits."""
+STAMPED, SYNCED, FREE = range(3)
+"""Instant of a sample: in its frame; the SYNC or poll that it answers; its arrival less the latency."""
+CONDITIONS = 4
+MOST = 256
+"""Most samples of one slot in one tick; further ones are refused."""
+NEVER = -1
+"""Counter before the first frame."""
+
+SAMPLE = np.dtype([("tick", "<i8"), ("offset_s", "<f8"), ("values", "<f8", (QUANTITIES,))])
+"""One measurement: tick of the SYNC before it, time from the end of that SYNC, and values in SI. Tracker:
+position in the base frame, rotation vector from platform to base. IMU: angular rate, specific force. Wrench:
+force, moment. IMU and wrench are in the platform frame. Inclination: roll, pitch. Leg: length, or force."""
+ROW = np.dtype(
+    [
+        *((name, "<i8") for name in ("id", "flags", "bus", "length", "exact", "slot", "part", "checked")),
+        ("fields", "<i8"), ("conditions", "<i8"),
+        *((name, "<i8", (FIELDS,)) for name in ("start", "bits", "big", "kind", "to")),
+        *((name, "<f8", (FIELDS,)) for name in ("scale", "offset", "low", "high")),
+        *((name, "<i8", (CONDITIONS,)) for name in ("at", "wide", "from_top", "mask", "equals", "selects")),
+    ]
+)  # fmt: skip
+"""One message of a slot. Bytes: `length` of them, or with `exact` 0 at least so many; `part`: its bit among
+the messages of a sample; `checked`: it ends in the CRC-8 of sensors.dbc. A field goes from raw to SI by
+scale and offset; values outside low .. high are refused. A condition compares masked bits: if they differ,
+the frame is another message (`selects`), else its sample is invalid."""
+SLOT = np.dtype(
+    [
+        *((name, "<i8") for name in ("present", "parts", "timing", "mixes", "gap_ns")),
+        ("latency_s", "<f8"), ("mix", "<f8", (QUANTITIES, QUANTITIES)),
+        *((name, "<i8") for name in ("got", "valid", "began_ns", "counter", "count", "last_tick")),
+        ("last_s", "<f8"), ("raw", "<f8", (QUANTITIES,)), ("last", "<f8", (QUANTITIES,)),
+    ]
+)  # fmt: skip
+"""A measurement. Table: bits of all its messages; STAMPED, SYNCED or FREE; longest time between the messages
+of one sample; matrix from fields to values, used if `mixes`. Reception: parts of the present sample, whether
+they are valid, its first frame; counter of the last frame; samples of this tick; the last sample."""
+SENSORS = np.dtype([(name, "<i8") for name in ("rows", "size", "slots", "samples", "rejected", "lost")])
+"""Addresses of `size` elements of ROW, of SLOTS elements of SLOT and of (SLOTS, MOST) elements of SAMPLE; in
+this tick refused frames, and samples missing by their counters."""
+
+
+class Tables(NamedTuple):
+    """Tables of a configuration's sensors, without any reception."""
+
+    rows: Rows
+    """Elements of ROW."""
+    slots: Rows
+    """SLOTS elements of SLOT."""
+
+
+def no_sensors() -> Tables:
+    """Tables without any sensor."""
+    return Tables(np.zeros(0, ROW), np.zeros(SLOTS, SLOT))
+
+
+class Reception(NamedTuple):
+    """A record of SENSORS, and the arrays at its addresses."""
+
+    record: Record
+    rows: Rows
+    slots: Rows
+    samples: Rows
+
+    def forget(self) -> None:
+        """Back to the state before any frame."""
+        s = self.slots
+        s["counter"], s["last"], s["last_s"], s["got"] = NEVER, np.nan, -np.inf, 0
+
+
+def unheard(tables: Tables) -> Reception:
+    """Reception before any frame."""
+    rows, slots, record = tables.rows, tables.slots.copy(), np.zeros((), SENSORS)
+    found = Reception(record, rows, slots, np.zeros((SLOTS, MOST), SAMPLE))
+    for name, array in (("rows", rows), ("slots", slots), ("samples", found.samples)):
+        record[name] = data_at(array)
+    record["size"] = len(rows)
+    found.forget()
+    return found

@@ -1,0 +1,108 @@
+"""Configuration section `sensors`."""
+
+from typing import TYPE_CHECKING, Annotated, Union
+
+from pydantic import Field, field_validator
+
+from drivers.config import Above0, Name, refuse_twice
+from drivers.registry import sections
+from drivers.section import Section
+from drivers.sensing.family import SensorFamily
+from drivers.sensing.stamped import StampedSensors
+
+Node = Annotated[int, Field(ge=1, le=127)]
+SENSORS = sections("hil.sensors", SensorFamily, "protocol")  # type: ignore[type-abstract]
+"""`device.protocol` of a sensor -> its section."""
+
+if TYPE_CHECKING:
+    AnySensor = SensorFamily
+else:
+    AnySensor = Annotated[Union[tuple(SENSORS.values())], Field(discriminator="protocol")]  # noqa: UP007
+
+
+class SensorRole(Section):
+    """Settings that every sensor has."""
+
+    rate_Hz: Above0
+    """Samples per second."""
+    channel: Name | None = None
+    """Its channel of `bus.channels`; default: the first."""
+    device: AnySensor = StampedSensors()
+    """The device, by the family that reads its frames: its own keys, and `protocol`."""
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """Node number of each device."""
+        return (self.node_id,) if hasattr(self, "node_id") else tuple(getattr(self, "node_ids", ()))
+
+
+class TrackerSettings(SensorRole):
+    """A device that measures the platform's pose from outside: optical, laser, camera."""
+
+    node_id: Node = 7
+    rate_Hz: Above0 = 200.0
+    """Samples per second, at most one per tick."""
+    position_std_m: Above0 = 1e-3
+    """Standard deviation of the noise of each coordinate."""
+    orientation_std_deg: Above0 = 0.1
+    """Standard deviation of the noise of the orientation about each axis."""
+    latency_max_ms: Above0 = 20.0
+    """Largest age of a sample; an older one is refused. Each millisecond costs the filter memory and time."""
+
+
+class ImuSettings(SensorRole):
+    """An inertial measurement unit on the platform, its values reduced to the platform origin."""
+
+    node_id: Node = 8
+    rate_Hz: Above0 = 500.0
+    """Samples per second, at most one per tick."""
+    angular_rate_std_rad_s: Above0 = 2e-3
+    specific_force_std_m_s2: Above0 = 0.05
+
+
+class WrenchSensorSettings(SensorRole):
+    """A device that measures the external wrench on the platform: force and moment at its origin."""
+
+    node_id: Node = 9
+    rate_Hz: Above0 = 1000.0
+    """Samples per second, at most one per tick."""
+
+
+class InclinationSettings(SensorRole):
+    """An inclinometer on the platform: roll and pitch, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+    node_id: Node = 10
+    rate_Hz: Above0 = 100.0
+    """Samples per second."""
+    device: AnySensor
+    """The device, by the family that reads its frames: its own keys, and `protocol`."""
+
+
+class LegSensorSettings(SensorRole):
+    """A device on each leg: a second encoder, or a load cell."""
+
+    node_ids: Annotated[list[Node], Field(min_length=6, max_length=6)] = [11, 12, 13, 14, 15, 16]
+    """Node number of each leg's device, in leg order, for families with node numbers."""
+    rate_Hz: Above0 = 500.0
+    """Samples per second of each."""
+    device: AnySensor
+    """The devices, by the family that reads their frames: its own keys, and `protocol`."""
+
+    @field_validator("node_ids")
+    @classmethod
+    def _each_once(cls, ids: list[int]) -> list[int]:
+        refuse_twice("two legs have the same node number", ids)
+        return ids
+
+
+class SensorSettings(Section):
+    """Sensors next to the drives; an omitted one does not exist."""
+
+    tracker: TrackerSettings | None = None
+    imu: ImuSettings | None = None
+    wrench: WrenchSensorSettings | None = None
+    inclination: InclinationSettings | None = None
+    lengths: LegSensorSettings | None = None
+    """Second encoders: a length a leg."""
+    forces: LegSensorSettings | None = None
+    """Load cells: a force a leg."""

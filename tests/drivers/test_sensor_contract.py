@@ -1,0 +1,105 @@
+"""Contract suite of the sensor families; their bytes: test_sensor_vectors.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hil.contracts.sensor import SensorContract
+
+ROOT = Path(__file__).parents[2]
+MATRIX = (1e3 * (np.eye(6) + 0.1 * np.arange(36).reshape(6, 6) / 36)).tolist()
+
+
+class TestStampedTracker(SensorContract):
+    ROLE = "tracker"
+    SETTINGS = {"rate_Hz": 250}
+    RESOLUTION = 2e-6
+
+
+class TestStampedImu(SensorContract):
+    ROLE = "imu"
+    SETTINGS = {"rate_Hz": 500}
+    RESOLUTION = 2e-3
+
+
+class TestCia406Sync(SensorContract):
+    ROLE = "lengths"
+    SETTINGS = {"rate_Hz": 1000, "device": {"protocol": "cia406", "step_m": -1e-6, "zero_m": 2.0}}
+    RESOLUTION = 0.6e-6
+
+
+class TestCia406Cyclic(SensorContract):
+    ROLE = "lengths"
+    SETTINGS = {
+        "rate_Hz": 500,
+        "device": {"protocol": "cia406", "step_m": 1e-6, "trigger": "cyclic", "latency_ms": 2},
+    }
+    RESOLUTION = 0.6e-6
+
+
+class TestCia406Change(SensorContract):
+    ROLE = "lengths"
+    SETTINGS = {
+        "rate_Hz": 500,
+        "device": {
+            "protocol": "cia406",
+            "step_m": 1e-5,
+            "trigger": "change",
+            "latency_ms": 2,
+            "format": "int32",
+        },
+    }
+    RESOLUTION = 6e-6
+
+
+class TestCia404(SensorContract):
+    ROLE = "forces"
+    SETTINGS = {
+        "rate_Hz": 250,
+        "device": {
+            "protocol": "cia404",
+            "trigger": "cyclic",
+            "format": "int16",
+            "scale_N": 0.5,
+            "latency_ms": 2,
+        },
+    }
+    RESOLUTION = 0.26
+
+
+class TestAti(SensorContract):
+    ROLE = "wrench"
+    SETTINGS = {"rate_Hz": 1000, "device": {"protocol": "ati", "matrix": MATRIX, "calibration": 2}}
+    RESOLUTION = 1e-2
+
+
+class TestXsensByDbc(SensorContract):
+    ROLE = "imu"
+    SETTINGS = {
+        "rate_Hz": 500,
+        "device": {
+            "protocol": "dbc",
+            "file": "docs/examples/sensors/xsens_mti.dbc",
+            "signals": {"wx": "gyrX", "wy": "gyrY", "wz": "gyrZ", "fx": "accX", "fy": "accY", "fz": "accZ"},
+            "latency_ms": 2,
+        },
+    }
+    RESOLUTION = 3e-3
+    FOLDER = ROOT
+
+
+class TestJ1939ByDbc(SensorContract):
+    ROLE = "inclination"
+    SETTINGS = {
+        "rate_Hz": 100,
+        "device": {
+            "protocol": "dbc",
+            "file": "docs/examples/sensors/j1939_imu.dbc",
+            "signals": {"roll": "Roll", "pitch": "Pitch"},
+            "latency_ms": 2,
+        },
+    }
+    RESOLUTION = 1e-6
+    FOLDER = ROOT

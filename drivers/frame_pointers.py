@@ -9,6 +9,8 @@ from drivers.compiled.pointed import record_at, records_at
 from drivers.frame_array import FRAME, SENT
 from drivers.signals import LEGS, NEVER
 
+MOST_OWED = 20
+"""Most missing answers that a drive may still send."""
 frame_at: Any = record_at(record(FRAME))
 """frame_at(address): the FRAME record at an address."""
 frames_at = records_at(record(FRAME))
@@ -84,6 +86,24 @@ def code(value: float, low: float, high: float, bits: int) -> int:
 def value(number: int, low: float, high: float, bits: int) -> float:
     """Physical value of an unsigned code in a field of `bits` bits from `low` to `high`."""
     return number * (high - low) / ((1 << bits) - 1) + low
+
+
+@helper
+def now_owed(owed: int, set_up: bool) -> int:
+    """Answers that a drive owes from a new SYNC or poll on; one that is being set up may send two.
+
+    For protocols whose answers carry no counter: a late answer looks like one in time, so it is the number
+    that tells a late drive from two drives with one node number. Two drives that answer every SYNC exceed it
+    after MOST_OWED + 1 ticks, and at once if no answer was missing. A missing answer stays owed: an answer
+    that is always one SYNC late leaves the same trace as a lost one.
+    """
+    return owed + 1 if set_up else 2
+
+
+@helper
+def still_owed(owed: int, set_up: bool) -> int:
+    """Answers that a drive owes at the end of a tick, at most MOST_OWED."""
+    return min(max(owed, 0), MOST_OWED) if set_up else 0
 
 
 @helper

@@ -14,7 +14,7 @@ from drivers.arrays import Bytes
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, record_at, records_at
 from drivers.frame_array import FRAME
-from drivers.frame_pointers import begin_measurement, code, frames_at, whole
+from drivers.frame_pointers import begin_measurement, code, frames_at, now_owed, still_owed, whole
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 from drivers.transmission import FIELDS, loss_of
@@ -104,7 +104,7 @@ MOTORS = np.dtype(
         ("done", "<i8", (LEGS,)),  # 1 for an answer, and 1 for each exchange confirmed
         ("asked", "<i8", (LEGS,)),  # tick of the last request
         ("said", "<i8", (LEGS,)),  # tick of its last report whether it is enabled
-        ("owed", "<i8", (LEGS,)),  # polls that it has not answered, RESTART_TICKS at most
+        ("owed", "<i8", (LEGS,)),  # polls that it has not answered, see `now_owed`
         ("patience_ticks", "<i8"),  # longest time without such a report: then BOOT
         ("read", "<f8", (LEGS,)),  # value of the last answer, if it was wrong
         ("has_read", "<i8", (LEGS,)),
@@ -256,7 +256,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     begin_measurement(last, tick)
     set_up = _set_up(m)
     for leg in range(LEGS):
-        m.owed[leg] = m.owed[leg] + 1 if m.done[leg] else 2
+        m.owed[leg] = now_owed(m.owed[leg], m.done[leg] != 0)
     power, said = m.power.copy(), m.said.copy()
     at = np.int64(m.scratch.ctypes.data)
     heard, ear = heard_at(at, 1)[0], ear_at(m.ear)
@@ -288,7 +288,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
                 taken |= 1 << (place - 1)
     changed = taken != 0
     for leg in range(LEGS):
-        m.owed[leg] = min(max(m.owed[leg], 0), RESTART_TICKS) if m.done[leg] > 0 else 0
+        m.owed[leg] = still_owed(m.owed[leg], m.done[leg] > 0)
         changed = changed or m.power[leg] != power[leg] or m.said[leg] != said[leg]
     if changed:
         here, late = taken & ((1 << LEGS) - 1), taken >> LEGS

@@ -220,7 +220,7 @@ class Cia402End(ControllerEnd):
             for k, step in enumerate(steps):
                 c["requests"][leg, k] = int.from_bytes(step.request(node), "little", signed=True)
                 c["values"][leg, k], c["masks"][leg, k] = step.value, step.mask | OPTIONAL * step.optional
-        c["asked"], c["states"], c["owed"] = NOT_ASKED, UNHEARD, 1
+        c["asked"], c["states"] = NOT_ASKED, UNHEARD
         sync = sent_array(family.to_all(Frame(o.SYNC_ID, b"")))  # without counter
         super().__init__(c, kernels.decode, kernels.command, sync[np.newaxis])
 

@@ -10,7 +10,16 @@ from drivers.cia402 import objects as o
 from drivers.cia402 import states as s
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, pointed, reals_at
-from drivers.frame_pointers import begin_measurement, begin_sent, frames_at, place_of, signed, whole
+from drivers.frame_pointers import (
+    begin_measurement,
+    begin_sent,
+    frames_at,
+    now_owed,
+    place_of,
+    signed,
+    still_owed,
+    whole,
+)
 from drivers.protocol import STRANGE
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
@@ -18,8 +27,6 @@ from drivers.transmission import FIELDS, loss_of
 
 OLDEST = 50
 """Ticks after which a difference of lengths no longer gives a rate."""
-STRAYING = 8
-"""Ticks after a missing answer within which a drive may send answers that it owes: a stall delays them."""
 SHORTEST = 0.5
 """Periods; a stall leaves shorter steps, over which the resolution of the encoder makes the rate too rough.
 """
@@ -60,7 +67,6 @@ DRIVES = np.dtype(
         ("resets", "<i8"),  # bit i: drive i has missed a RESET, and gets one when it is set up
         ("rate", "<f8", (LEGS,)),
         ("owed", "<i8", (2 * LEGS,)),  # TPDO1, then TPDO2 of each drive: missing answers to earlier SYNCs
-        ("missed", "<i8", (LEGS,)),  # last tick without an answer of a drive
         # the step from one length of a leg to the next
         ("mean", "<f8", (LEGS,)),  # rate, m/s
         ("T", "<f8", (LEGS,)),  # s, between the two lengths; 0: there is only one
@@ -112,13 +118,13 @@ def difference(c: Any, leg: int, length: float, latched_ns: int, rate: float) ->
 @helper
 def _take(c: Any, slot: int, leg: int, data: int, late: bool, tick: Any) -> None:
     """Store a TPDO's data, one integer, if it is newer than the stored one and its drive owes an answer."""
-    if late and tick.age[leg] <= 1:
-        return
-    if not c.has[slot] or c.held[slot] != data:
+    if c.held[slot] != data or not (c.has[slot] or late):  # else a copy
         if c.owed[slot] <= 0:
             tick.doubled |= 1 << leg
             return
         c.owed[slot] -= 1
+    if late and tick.age[leg] <= 1:
+        return
     c.held[slot], c.has[slot], c.late[slot] = data, 1, late
 
 
@@ -219,11 +225,8 @@ def _begin(c: Any, last: Any, tick: Any) -> None:
     """Start a tick: each drive owes one answer to its SYNC, and perhaps answers to earlier ones."""
     begin_measurement(last, tick)
     for leg in range(LEGS):
-        if last.age[leg]:
-            c.missed[leg] = last.tick
-        lately = tick.tick - c.missed[leg] <= STRAYING
         for slot in (leg, LEGS + leg):
-            c.owed[slot] = 1 + (c.owed[slot] if lately else 0)
+            c.owed[slot] = now_owed(c.owed[slot], c.at[leg] == c.steps[leg])
             c.has[slot] = 0
 
 
@@ -267,9 +270,9 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     frames: address of `count` FRAME records; since_ns: wake-up time of the loop. A TPDO after the end of
     this tick's SYNC answers it. An earlier one answers the last SYNC, and counts with age 1 if nothing newer
     is held. Refused, and counted in `rejected`: a wrong length, an unknown statusword or NMT state, an SDO
-    frame that is not an expedited answer. A second TPDO of a tick with other data marks the node as
-    `doubled`, and the first one counts. If the drive was missed within the last STRAYING ticks and owes an
-    answer to an earlier SYNC, the last one counts instead. A leg is as old as the older of its two TPDOs.
+    frame that is not an expedited answer. A TPDO with other data that the drive does not owe, see `now_owed`,
+    marks the node as `doubled`; of two in a tick the last one that it owes counts. A leg is as old as the
+    older of its two TPDOs.
     Boot-up, and leaving Operational, restart a drive's set-up. Returns 1 if the set of configured drives has
     changed, else 0.
     """
@@ -290,6 +293,8 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         elif not _hear(c, base, leg, frame, since_ns, tick):
             tick.rejected += 1
     for leg in range(LEGS):
+        for slot in (leg, LEGS + leg):
+            c.owed[slot] = still_owed(c.owed[slot], set_up >> leg & 1 != 0)
         if c.has[leg]:
             _measure(c, leg, last, tick)
     for leg in range(LEGS):
@@ -305,8 +310,6 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
             tick.drive_force[leg] = force / loss_of(
                 force, tick.rate[leg], c.driving[leg], c.back_driving[leg], c.full_loss_m_s
             )
-        for slot in (leg, LEGS + leg):
-            c.owed[slot] = min(c.owed[slot], STRAYING)
     c.rate[:] = tick.rate
     tick.counted_age[:] = tick.age
     return int(_set_up(c) != set_up)

@@ -26,6 +26,10 @@ STRANGE = EXTENDED | REMOTE | ERROR
 """Flags that frames of this protocol never have."""
 OLDEST = 8
 """Most ticks by which an answer may be late, of 16 counter values; other values are refused."""
+ROUND = 0xFFFF
+"""The last 16 SYNCs, whose counters differ, as bits."""
+HISTORY = 48
+"""Last ticks whose SYNC may still be answered."""
 QUANTITIES = 3
 """Quantities of a feedback: length, rate, force."""
 EXACT = 64
@@ -50,7 +54,7 @@ ENDS = np.dtype(
         *((name, "<i8", (QUANTITIES,)) for name in ("start", "bits")),
         *((name, "<f8", (QUANTITIES,)) for name in ("scale", "low", "high")),
         *((name, "<f8") for name in ("step", "least", "most", "watchdog_s")),
-        *((name, "<i8", (LEGS,)) for name in ("expected", "said", "sent")),
+        *((name, "<i8", (LEGS,)) for name in ("expected", "said", "sent", "owed", "doubt")),
         *((name, "<i8") for name in ("confirmed", "interval")),
         ("present", "<i8", (LEGS,)),
     ]
@@ -62,8 +66,9 @@ missing), scale and range, SI; of a force step and range, in steps if it is roun
 watchdog, s.
 
 State of the controller: checksum of each leg's set-up, checksum in its last status, number of CONFIG sent to
-it; bit i: the last status of drive i has confirmed it; ticks from one CONFIG of a drive to its next. State of
-the drives: Cycle of the present SYNC of each bus."""
+it; the SYNCs that its drive may still answer, bit k: that of k ticks ago; ticks for which its answers have
+been in doubt, see `_pay`, 0: they are not; bit i: the last status of drive i has confirmed it; ticks from one
+CONFIG of a drive to its next. State of the drives: Cycle of the present SYNC of each bus."""
 NO_SYNC = -1
 """SYNC counter of drives that have received no SYNC yet."""
 CHANGED = 1
@@ -157,6 +162,34 @@ def write(value: float, data: Bytes, start: int, bits: int, word: Ints) -> None:
 
 
 @helper
+def _owe(e: Any, elapsed: int) -> None:
+    """Start a tick: each confirmed drive owes an answer to its SYNC, and may owe earlier ones."""
+    for leg in range(LEGS):
+        earlier = e.owed[leg] << min(elapsed, HISTORY) if e.confirmed >> leg & 1 else 0
+        e.owed[leg] = (earlier | 1) & (1 << HISTORY) - 1
+        e.doubt[leg] = e.doubt[leg] + elapsed if e.doubt[leg] and e.owed[leg] > ROUND else 0
+
+
+@helper
+def _pay(e: Any, leg: int, behind: int) -> bool:
+    """Count an answer; True if it belongs to a SYNC of an earlier round of the counter.
+
+    Frames of a node keep their order: an answer belongs to the oldest SYNC with its counter that has none
+    yet, and SYNCs before that one no longer get any. A drive that missed 16 SYNCs and then answers in time
+    sends the same frames as one that stays 16 ticks late. It is taken to be in time OLDEST ticks after its
+    first answer: so long it is in doubt.
+    """
+    for earlier in (32, 16, 0):
+        bit = np.int64(1) << earlier + behind
+        if e.owed[leg] & bit and (earlier == 0 or e.doubt[leg] <= OLDEST):
+            e.owed[leg] &= bit - 1
+            if earlier:
+                e.doubt[leg] = max(e.doubt[leg], 1)
+            return earlier > 0
+    return False
+
+
+@helper
 def _take_feedback(
     e: Any, data: Any, early: bool, leg: int, value: Array, word: Ints, last: Any, tick: Any
 ) -> bool:
@@ -164,7 +197,14 @@ def _take_feedback(
     behind = (tick.tick - counted) & 0xF
     state = counted >> 4 & ~INVALID
     invalid = counted >> 4 & INVALID != 0
-    if behind > OLDEST or state >= _STATES or (early and behind == 0):
+    if state >= _STATES:
+        return False
+    if early and behind == 0:
+        e.owed[leg] &= ROUND
+        return False
+    if _pay(e, leg, behind):
+        return True
+    if behind > OLDEST:
         return False
     for k in range(QUANTITIES):
         if e.bits[k] > 0:
@@ -181,7 +221,7 @@ def _take_feedback(
         if behind == 0 or (not blind and last.blind[leg] == 0):
             same = same and state == tick.drive_state[leg]
             same = same and (not has_force or value[2] == tick.drive_force[leg])
-        if not same:
+        if not same and e.doubt[leg] == 0:
             tick.doubled |= 1 << leg
     elif (invalid and behind == 0) or (not invalid and behind < tick.age[leg]):
         if has_force:
@@ -228,19 +268,21 @@ def decode(e: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     Every leg first ages by the ticks since the last one, up to NEVER. A feedback with this tick's counter has
     age 0, unless it came before `since_ns`: then it answers an older SYNC with the same four bits, and is
     refused. A feedback with a counter d = 1..8 ticks back takes effect with age d if it is newer than the one
-    held, else it is skipped; any other counter is refused. Refused as well, and counted in `rejected`: wrong
-    length, CRC, state or fault; a value that is not finite; with several buses, another bus than the drive's.
-    A feedback of this tick with an invalid length gives state and force only: the leg ages, and is `blind`. A
-    second answer to the same SYNC with other content marks the node as `doubled`; the first one counts. SYNC,
-    command, CONFIG and E-stop are `foreign`, whatever they carry: a node does not receive its own frames.
-    Other frames are ignored. Fault and set-up come from the status, state from the feedback. Layout classic
-    carries no force: the force keeps its value. Returns CHANGED if the set of configured drives changed, else
-    0.
+    held, else it is skipped; any other counter is refused. After 16 SYNCs without answer one may be 16 or 32
+    ticks older than its counter shows: it is skipped, see `_pay`. Refused as well, and counted in `rejected`:
+    wrong length, CRC, state or fault; a value that is not finite; with several buses, another bus than the
+    drive's. A feedback of this tick with an invalid length gives state and force only: the leg ages, and is
+    `blind`. A second answer to the same SYNC with other content marks the node as `doubled`; the first one
+    counts. SYNC, command, CONFIG and E-stop are `foreign`, whatever they carry: a node does not receive its
+    own frames. Other frames are ignored. Fault and set-up come from the status, state from the feedback.
+    Layout classic carries no force: the force keeps its value. Returns CHANGED if the set of configured
+    drives changed, else 0.
     """
     word = np.empty(1, np.int64)
     value = np.zeros(QUANTITIES)
     before, rejected = e.confirmed, 0
     begin_measurement(last, tick)
+    _owe(e, tick.tick - last.tick if last.tick >= 0 else 1)
     received = frames_at(frames, count)
     for n in range(count):
         frame = received[n]

@@ -153,7 +153,7 @@ class RehearsalBench:
     ) -> None:
         self.stand, self.wiring = stand, wiring
         self.hung = False
-        """True while the platform is mounted on the legs."""
+        """True while the legs carry the platform."""
         self._rated_N = settings.force_limit_N
         stroke = stand.length_max - stand.length_min
         friction = max(stand.friction_N, USUAL_FRICTION * self._rated_N) + self._rated_N * np.array(
@@ -231,7 +231,7 @@ class RehearsalBench:
             case "read_way":
                 way = self.wiring.gravity * s.presses
                 return float(np.sign(way)) if abs(way) > LEVEL else 0.0
-            case "take_down":
+            case "take_down" | "carry":
                 self.hung = False
         return 0.0
 

@@ -133,41 +133,59 @@ def test_second_answer_marks_a_doubled_node_unless_the_drive_owes_it(leg):
     assert tick["doubled"] == 1 << leg
     assert decoded(*frames, speed(leg, 2), owed=(0,) * 12)[0]["doubled"] == 1 << leg
     assert decoded(*frames, *frames, owed=(0,) * 12)[0]["doubled"] == 0
-    lately = tuple(5 if each == leg else -100 for each in range(6))
     owes = tuple(int(each % 6 == leg) for each in range(12))
-    tick, dialogue = decoded(*frames, place(leg, 101), speed(leg, 2), missed=lately, owed=owes)
+    tick, dialogue = decoded(*frames, place(leg, 101), speed(leg, 2), owed=owes)
     assert tick["doubled"] == 0
     assert tick["length"][leg] == P.transmission.length(np.full(6, 101 / 131072))[leg]
     assert dialogue.owed == tuple(0 if each % 6 == leg else 1 for each in range(12))
-    assert decoded(*frames, place(leg, 101), missed=(4,) * 6, owed=owes)[0]["doubled"] == 1 << leg
 
 
-def test_owed_answers_are_counted_by_drive_and_kind_up_to_eight():
-    ages = [0, 1, 0, 2, 0, 0]
-    _, dialogue = decoded(
-        place(1), speed(4), last=last_tick(12, ages), missed=(5, 5, 4, 5, 5, 5), owed=tuple(range(12))
-    )
-    assert dialogue.missed == (5, 12, 4, 12, 5, 5)
-    assert dialogue.owed == (1, 1, 1, 4, 5, 6, 7, 8, 1, 8, 8, 8)
+def test_owed_answers_are_counted_by_drive_and_kind_once_it_is_set_up():
+    owed, at = tuple(range(10, 22)), (*begun().steps[:5], 0)
+    _, dialogue = decoded(place(1), speed(4), owed=owed, at=at)
+    assert dialogue.owed == (11, 11, 13, 14, 15, 0, 17, 18, 19, 20, 20, 0)
 
 
-def doubled(*ticks: int) -> int:
-    """`doubled` in the last tick, after 20 ticks with one answer of leg 4 and then these numbers of answers."""
-    dialogue, m = P.start(SETUP), new_record()
-    answers = [[place(4, 100), speed(4)], [place(4, 101), speed(4, 1)]]
-    for number, count in enumerate([1] * 20 + list(ticks)):
+def doubled(*counts: int, before: int = 20, ends: Remembered | None = None) -> list[int]:
+    """Ticks with a doubled leg 4, after `before` ticks with one answer and then these numbers of answers."""
+    dialogue, m, found, said = begun() if ends is None else ends, new_record(), [], 0
+    for number, count in enumerate([1] * before + list(counts)):
         last, m = m, new_record()
         m["tick"] = number
-        heard = received_array([Received(1, frame) for answer in answers[:count] for frame in answer])
-        dialogue = P.decode(dialogue, heard, last, m, 0)
-    return int(m["doubled"])
+        sent = [frame for k in range(count) for frame in (place(4, said + k), speed(4, said + k))]
+        said += count
+        dialogue = P.decode(dialogue, received_array([Received(1, f) for f in sent]), last, m, 0)
+        found += [number - before] if m["doubled"] else []
+    return found
 
 
-def test_drive_that_missed_a_tick_may_catch_up_once_within_8_ticks():
-    assert doubled(2) == 1 << 4
-    assert doubled(0, 2) == doubled(0, 1, 1, 2) == 0
-    assert doubled(0, 1, 2, 2) == 1 << 4, "it owed only one"
-    assert doubled(0, *[1] * 8, 2) == 1 << 4, "a lost answer does not arrive later"
+def test_drive_that_missed_ticks_may_send_as_many_answers_later():
+    assert doubled(0, 2) == doubled(0, 1, 1, 2) == []
+    assert doubled(0, 1, 2, 2) == [3], "it owed only one"
+    for late in (1, 2, 5, 16):
+        for lasts in (0, 40, 120):
+            assert doubled(*[0] * late, *[1] * lasts, late + 1, 1, 1) == [], "a delay that lasts"
+
+
+def test_second_node_is_found_within_21_ticks_whatever_was_lost_before():
+    assert doubled(*[2] * 5) == [0, 1, 2, 3, 4]
+    for lost in (1, 8, 20, 33, 300):
+        assert doubled(*[0] * lost, *[2] * 30)[0] == lost + min(lost, 20), "answers were lost"
+    assert doubled(0, 1, 1, *[2] * 3) == [4, 5], "a drive that is always late"
+    started = begun(at=(0,) * 6)
+    assert doubled(*[2] * 3, before=0, ends=started) == [], "not set up"
+    assert doubled(3, before=0, ends=started) == [0]
+
+
+def test_second_node_that_answers_before_the_next_sync_is_found():
+    answers = [[place(4, k), speed(4, k)] for k in (100, 101, 102)]
+    _, dialogue = decoded(*answers[0])
+    for late, found in ((answers[0], 0), (answers[1], 1 << 4)):
+        heard = [Received(WOKE_NS, frame) for frame in late] + [Received(2_000, f) for f in answers[2]]
+        tick = new_record()
+        tick["tick"], tick["latch_ns"] = 13, 500
+        P.decode(dialogue, received_array(heard), last_tick(), tick, WOKE_NS)
+        assert tick["doubled"] == found
 
 
 def test_broken_frames_are_counted_and_change_nothing():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -169,6 +170,93 @@ def test_after_a_blind_answer_an_earlier_one_does_not_count_as_second(layout, le
     assert (int(tick["doubled"]), int(tick["age"][leg])) == (0, 1)
     assert tick["length"][leg] == pytest.approx(LENGTH[leg])
     assert tick["blind"].tolist() == [each == leg for each in range(6)]
+
+
+def follow(
+    layout: str, answered: Sequence[list[int] | None], confirmed: int = 63, early: int = -1
+) -> tuple[list[int], list[int], list[bool]]:
+    """Ticks with a doubled node; ages of leg 4; whether its length was that of the SYNC of this age.
+
+    answered: for each tick from 0 on the SYNCs whose answers of leg 4 arrive, None: the tick is skipped. Each
+    length is 1.5 m plus 1 mm a SYNC, and 100 mm for a second drive, whose answers to SYNC n are written as
+    -n. early: the first answer of this tick arrives before the loop wakes up.
+    """
+    end, last, found, ages, right = P[layout].controller_end(SETUP), new_record(), [], [], []
+    end.state["confirmed"] = confirmed
+    for number, syncs in enumerate(answered):
+        if syncs is None:
+            continue
+        tick = new_record()
+        tick["tick"] = number
+        lengths = [1.5 + 1e-3 * abs(n) + 0.1 * (n < 0) for n in syncs]
+        frames = [sent(layout, abs(n), length=np.full(6, x))[4] for n, x in zip(syncs, lengths, strict=True)]
+        times = [SINCE_NS - (number == early and k == 0) for k in range(len(frames))]
+        heard = received_array([Received(t, f) for t, f in zip(times, frames, strict=True)])
+        end.take(heard, last, tick, SINCE_NS)
+        found += [number] if tick["doubled"] else []
+        ages.append(int(tick["age"][4]))
+        right.append(abs(tick["length"][4] - 1.5 - 1e-3 * (number - ages[-1])) < 1e-9)
+        last = tick
+    return found, ages, right
+
+
+BEFORE: list[list[int] | None] = [[n] for n in range(20)]
+
+
+@layouts
+@pytest.mark.parametrize("late", [1, 2, 5, 12, 16, 17, 20, 32, 45])
+def test_late_answers_double_no_node_and_have_the_age_of_their_sync(layout, late):
+    back = 20 + late
+    silent, burst = [*BEFORE, *[list[int]()] * late], list(range(20, back + 1))
+    after = [[n] for n in range(back + 1, back + 20)]
+    found, ages, right = follow(layout, [*silent, burst, *after])
+    assert (found, ages[back:], all(right)) == ([], [0] * 20, True)
+    if late <= 20:
+        drained = [burst[k : k + 2] for k in range(0, late + 1, 2)]
+        found, ages, right = follow(
+            layout, [*silent, *drained, *([n] for n in range(back + len(drained), 80))]
+        )
+        assert (found, all(right)) == ([], True), "two a tick: newer ones take the place of older ones"
+    if late < 16:
+        lasting = [[n] for n in range(20, 60)]
+        found, ages, right = follow(layout, [*silent, *lasting, list(range(60, 61 + late))])
+        assert (found, all(right), ages[-1]) == ([], True, 0)
+        assert ages[back:-1] == [late if late <= 8 else 1 + late + k for k in range(40)]
+
+
+@layouts
+def test_answer_that_waits_while_the_controller_stalls_for_16_ticks_is_not_of_this_tick(layout):
+    for early in (-1, 35):
+        stalled = [*BEFORE[:19], [], *[None] * 15, [19, 35], [36]]
+        found, ages, right = follow(layout, stalled, early=early)
+        assert (found, ages[-2:], all(right)) == ([], [0, 0], True)
+    found, ages, _ = follow(layout, [*BEFORE, *[None] * 16, [36], [37]])
+    assert (found, ages[-2:]) == ([], [0, 0]), "nothing was missing"
+
+
+@layouts
+def test_second_node_is_found_within_two_ticks_whatever_was_lost_before(layout):
+    for lost in (0, 1, 8, 16, 20, 33, 100, 300):
+        back = 20 + lost
+        twice = [[n, -n] for n in range(back, back + 20)]
+        first = back + min(lost // 16, 2)
+        assert follow(layout, [*BEFORE, *[list[int]()] * lost, *twice])[0] == list(range(first, back + 20))
+    late = [[n - 1, 1 - n] for n in range(21, 40)]
+    assert follow(layout, [*BEFORE, [], *late])[0] == list(range(21, 40)), "always late"
+    start = [[], *([n, -n] for n in range(1, 9))]
+    assert follow(layout, start, confirmed=0)[0] == list(range(1, 9)), "at start"
+
+
+@layouts
+def test_drive_that_returns_after_16_silent_ticks_counts_8_ticks_later(layout):
+    for lost in (16, 20, 33, 100):
+        back = 20 + lost
+        found, ages, right = follow(
+            layout, [*BEFORE, *[list[int]()] * lost, *([n] for n in range(back, back + 30))]
+        )
+        assert (found, all(right)) == ([], True)
+        assert ages[back:] == [1 + lost + k for k in range(8)] + [0] * 22
+    assert follow(layout, [[], *([n] for n in range(1, 9))], confirmed=0)[1][1:] == [0] * 8
 
 
 def test_controller_frames_are_foreign_by_their_kind_in_any_layout():

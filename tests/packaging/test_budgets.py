@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
-    "drivers": (10_410, 76_700),
+    "drivers": (10_470, 77_000),
     "plant_fmu": (8_700, 62_500),
     "hil/loop hil/operate": (6_770, 52_200),
     "hil/safety hil/estimation": (3_130, 25_800),
@@ -16,14 +16,14 @@ BUDGETS = {
     "hil/record": (4_730, 37_300),
     "hil/config hil/app/configuration": (3_930, 25_700),
     "hil/design hil/proof": (6_150, 56_700),
-    "hil/lab": (7_850, 66_400),
+    "hil/lab": (7_980, 67_500),
     "hil/study": (8_030, 64_900),
-    "hil/app": (10_960, 81_000),
+    "hil/app": (10_980, 81_050),
     "hil/cli": (2_300, 11_800),
     "hil/contracts": (1_720, 14_900),
     "tools": (2_690, 21_550),
     "configs": (210, 1_900),
-    "tests": (73_020, 651_100),
+    "tests": (73_320, 655_000),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

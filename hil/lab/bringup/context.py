@@ -190,7 +190,8 @@ class Context:
             text = "One brake is to open alone. Take the platform off and lay the legs on their trestles"
             self.ask(Request("take_down", text=text, word="down"))
             self.facts.pop("platform")
-            self.facts.pop("mounted", None)
+            for step in _MOUNTED:
+                self.facts.pop(step, None)
             self.save()
 
     def ask(self, request: Request, keep: Callable[[], object] | None = None) -> float:
@@ -222,10 +223,13 @@ class Context:
             self.drives.step()
 
     @contextmanager
-    def opened(self, leg: int, *, timed: bool = False) -> Iterator[None]:
+    def opened(
+        self, leg: int, *, timed: bool = False, watch: Callable[[], None] = lambda: None
+    ) -> Iterator[None]:
         """Open the brake of one leg without force; shut it on every exit. Raises StoppedError if not powered.
 
         timed: the caller times the closing. If not, and if it may be late, the exit waits UNTIMED_S longer.
+        watch: called in each tick while it opens; may raise StoppedError.
         """
         self.take_down()
         timed = timed or (self.known("shuts", leg) or {}).get("late_s") == 0.0
@@ -236,10 +240,12 @@ class Context:
                 raise StoppedError(Finding("not_powered", (leg,), why, remedy))
             for _ in range(self.drives.ticks(self.machine.brake_open_s)):
                 self.drives.step(DriveMode.RUN, leg)
+                watch()
             for _ in range(self.drives.report_ticks):
                 if self.drives.record["drive_state"][leg] != DriveState.READY:
                     break
                 self.drives.step(DriveMode.RUN, leg)
+                watch()
             yield
         finally:
             self.drives.off(self.machine.brake_shut_s + (0.0 if timed else UNTIMED_S))
@@ -287,6 +293,8 @@ class Context:
         }
 
 
+_MOUNTED = "mounted", "taped", "hoisted"
+"""Steps with facts about the mounted platform."""
 _OTHERS = {
     "ids": "drives", "encoder": "drive", "opens": "legs",
     "held": "", "shuts": "", "force": "", "gauge": "", "watchdog": "",
@@ -306,7 +314,7 @@ def forget_legs(facts: dict[str, dict[str, Any]], legs: Collection[int]) -> None
             others = fact.get(key, [])
             if not {int(name), *(others if isinstance(others, list) else [others])}.isdisjoint(legs):
                 del table[name]
-    for step in ("mounted", "load", "passed"):
+    for step in (*_MOUNTED, "load", "passed"):
         facts.pop(step, None)
 
 
@@ -334,7 +342,11 @@ class Step(NamedTuple):
     tables: tuple[str, ...] = ()
     """Names of its tables of results; empty: one table with the name of the step."""
 
-    def kept_whole(self, c: Context, many: int) -> bool:
-        """True if the step passed before and each of its tables of results still has `many` entries."""
-        passed = self.kept and self.name in c.facts.get("passed", {})
-        return passed and all(len(c.facts.get(table, {})) == many for table in self.tables or (self.name,))
+    def kept_whole(self, c: Context) -> bool:
+        """True if the step passed before and each of its tables of results is still complete."""
+        if not self.kept or self.name not in c.facts.get("passed", {}):
+            return False
+        poses = len(c.machine.pose_lengths)
+        sizes = {"mounted": poses, "taped": poses, "load": 2, "hoisted": 6}
+        tables = self.tables or (self.name,)
+        return all(len(c.facts.get(table, {})) == sizes.get(table, LEGS) for table in tables)

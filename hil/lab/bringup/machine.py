@@ -18,9 +18,12 @@ from hil.robot.kinematics import leg_lengths
 from plant_fmu.drives import drives_end
 
 TILT_deg = (3.0, 2.0, 4.0)
-"""Rotation vector from home to the second known pose, chosen so that all leg lengths differ."""
+"""Rotation vector from home to the second known pose: there all leg lengths differ."""
 TILT_SHARES = (1.0, 0.5, 0.25)
 """Shares of that tilt; the largest one within reach of all legs is used."""
+RAISED_m, RAISED_SHARE = 0.03, 0.2
+"""Most by which that pose is above or below home, and share of the stroke: each leg changes its length, which
+shows the scale of its reading."""
 FASTEST_Hz = 500.0
 """Upper limit of the tick rate, low enough for an adapter and a desktop computer."""
 WINDOW = 0.9
@@ -43,12 +46,21 @@ def known_poses(c: Configuration) -> list[tuple[Array, Array]]:
 def _known(c: Configuration) -> list[Pose]:
     home, platform = c.platform.home, build_platform(c.platform)
     low, high = c.platform.length_min_m, c.platform.length_max_m
+    at_home = leg_lengths(platform, *pose_arrays(home))
+    most = min(RAISED_m, RAISED_SHARE * (high - low))
+    x, y, z = home.position_m
     for share in TILT_SHARES:
         turned = np.add(home.rotation_vector_deg, np.multiply(share, TILT_deg)).tolist()
-        tilted = Pose(position_m=home.position_m, rotation_vector_deg=(turned[0], turned[1], turned[2]))
-        q = leg_lengths(platform, *pose_arrays(tilted))
-        if low < q.min() and q.max() < high:
-            return [home, tilted]
+        tilted = [
+            Pose(position_m=(x, y, z + up), rotation_vector_deg=(turned[0], turned[1], turned[2]))
+            for up in np.linspace(-most, most, 13).round(4).tolist()
+        ]
+        q = np.array([leg_lengths(platform, *pose_arrays(pose)) for pose in tilted])
+        within = (low < q.min(axis=1)) & (q.max(axis=1) < high)
+        if within.any():
+            least = np.where(within, np.abs(q - at_home).min(axis=1), -1.0)
+            return [home, tilted[int(np.argmax(least))]]
+    q = q[len(q) // 2]
     leg = int(np.argmax(np.maximum(low - q, q - high)))
     tilt_deg = share * float(np.linalg.norm(TILT_deg))
     raise ConfigurationError(

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 from drivers.signals import LEGS
 from hil.lab.bringup.context import Context, Finding, RefusedError, Request, Step, StoppedError
-from hil.lab.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
+from hil.lab.bringup.steps import brakes, encoder, force, gauge, hoisted, ids, mounted, scan, silence
 
 STEPS: tuple[Step, ...] = tuple(
-    module.STEP for module in (scan, silence, ids, encoder, brakes, force, gauge, mounted)
+    module.STEP for module in (scan, silence, ids, encoder, brakes, force, gauge, mounted, hoisted)
 )
-"""All steps in order; gates are the first three and `mounted`, which begins only without findings."""
+"""All steps in order; gates are the first three and the last two, which begin only without findings."""
 ENDS = frozenset({
     "runaway", "coupling_or_clamp", "brake_not_shut",
     "not_powered", "lost_power", "not_heard", "encoder_jumps",
@@ -88,7 +88,7 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
 def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
     """Run a step unless it passed before; return (passed before, findings)."""
     c.operator.tell(f"{step.name}: {step.title}")
-    known = step.kept_whole(c, len(c.machine.pose_lengths) if step is mounted.STEP else LEGS)
+    known = step.kept_whole(c)
     if not known and not c.operator.consent(step.title, step.will, step.stop):
         raise RefusedError(f"ended before step {step.name}; results so far are kept")
     try:

@@ -73,7 +73,7 @@ class Store:
 
     def forget_brakes(self) -> None:
         """Delete the results about brakes and about steps passed, so that brakes are tested again."""
-        for step in ("held", "opens", "shuts", "passed"):
+        for step in ("held", "opens", "shuts", "hoisted", "passed"):
             self.facts.pop(step, None)
         self.save()
 

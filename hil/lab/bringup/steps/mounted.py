@@ -6,8 +6,9 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS
-from hil.lab.bringup.context import SETTLED_S, Context, Finding, Request, Step, gap_of
+from hil.lab.bringup.context import SETTLED_S, TAPE_M, Context, Finding, Request, Step, gap_of
 from hil.lab.bringup.steps import scan
+from hil.lab.bringup.steps.encoder import SIGMAS, ZERO_M, tolerance
 
 FIT_M = 4e-3
 """Largest accepted error of a leg length at a pose fixed by a jig."""
@@ -27,34 +28,42 @@ WAYS = {1: "presses the legs", 0: "neither presses the legs nor pulls at them", 
 
 
 def find(c: Context) -> None:
-    """Have the platform weighed and hung at the known poses, and read the leg lengths, all drives off."""
+    """Have the platform weighed and hung at the known poses; read and measure leg lengths, all drives off."""
+    m = c.machine
     weigh = "Weigh the platform with all that is fixed to it, kg; 0: it cannot be weighed"
-    way = "Will its weight press the legs together, 1, pull at them, -1, or neither, 0"
-    for name, act, text, least, most in (
-        ("mass_kg", "weigh", weigh, 0.0, HEAVIEST * c.machine.platform_kg),
-        ("presses", "read_way", way, -1.0, 1.0),
-    ):
-        if c.facts.get("load", {}).get(name) is None:
-            c.keep("load", name, c.ask(Request(act, text=text, within=(least, most))))
-    for pose, words in enumerate(c.machine.pose_words):
-        if c.known("mounted", pose) is None:
+    _load_fact(c, "mass_kg", "weigh", weigh, (0.0, HEAVIEST * m.platform_kg))
+    for pose, words in enumerate(m.pose_words):
+        if c.known("mounted", pose) is None or c.known("taped", pose) is None:
             text = "Mount the legs, levers on the brakes, and hang the platform at known pose"
             c.keep("platform", "hung", fact=True)
             c.ask(Request("hang", -1, float(pose), f"{text} {pose}: {words}"))
             c.rest(SETTLED_S)
             c.keep("mounted", pose, {"q_m": c.lengths().tolist(), "answers": scan.answers(c)})
+            text, within = (
+                "Measure leg {}, joint centre to joint centre, m",
+                (m.length_min / 4, 4 * m.length_max),
+            )
+            legs = [Request("measure", k, 0.0, text.format(k), within=within) for k in range(LEGS)]
+            c.keep("taped", pose, {"q_m": [c.ask(leg) for leg in legs]})
+    way = "Does its weight press the legs together, 1, pull at them, -1, or neither, 0"
+    _load_fact(c, "presses", "read_way", way, (-1.0, 1.0))
+
+
+def _load_fact(c: Context, name: str, act: str, text: str, within: tuple[float, float]) -> None:
+    if c.facts.get("load", {}).get(name) is None:
+        c.keep("load", name, c.ask(Request(act, text=text, within=within)))
 
 
 def judge(c: Context) -> Iterator[Finding]:
     """Findings: legs at wrong joints, a wrong home, slipped encoders, wrong load or gravity, lost frames."""
     yield from _load(c)
     m = c.machine
-    facts = [c.known("mounted", k) for k in range(len(m.pose_lengths))]
+    facts, taped = ([c.known(name, k) for k in range(len(m.pose_lengths))] for name in ("mounted", "taped"))
     yield from scan.lost_frames(dict(enumerate(np.min([fact["answers"] for fact in facts], axis=0).tolist())))
     q = np.array([fact["q_m"] for fact in facts])
     for leg in range(LEGS):
         q[:, leg] -= m.turns_m(leg, float((q[:, leg] - m.pose_lengths[:, leg]).mean()))
-    away = q - m.pose_lengths
+    away, tape = q - m.pose_lengths, np.array([fact["q_m"] for fact in taped])
     off_mm = [", ".join(f"{1e3 * x:+.1f}" for x in off) + " mm" for off in away.T]
     wrong = [leg for leg in range(LEGS) if np.abs(away[:, leg]).max() > FIT_M]
     joints = {leg: _joints(m.joint_distances, q[:, leg]) for leg in wrong}
@@ -64,6 +73,11 @@ def judge(c: Context) -> Iterator[Finding]:
         remedy = f"Hang it at the known poses, or correct platform.home and the joints. {AFTER}"
         yield Finding("wrong_home", (), text, remedy)
         return
+    at_joints = np.abs(tape - m.pose_lengths).max(axis=0) <= FIT_M
+    for leg in np.flatnonzero(at_joints).tolist():
+        if finding := _misread(leg, q, tape):
+            yield finding
+            wrong = [each for each in wrong if each != leg]
     tilted = "See that the platform hangs at the known poses, not tilted. " * (len(wrong) > 1)
     for leg in wrong:
         text, fits = f"at the known poses its length is {off_mm[leg]} off", joints[leg]
@@ -74,6 +88,25 @@ def judge(c: Context) -> Iterator[Finding]:
             name = "slipped"
             remedy = f"Encoder, belt or coupling has slipped, or its joint is elsewhere. {remedy}"
         yield Finding(name, (leg,), text, remedy)
+
+
+def _misread(leg: int, q: Array, tape: Array) -> Finding | None:
+    """Finding about a leg at its joints that does not read its length by tape, or None; both (poses, 6) m."""
+    (moved, reads), off_m = ((x[-1, leg] - x[0, leg]) for x in (tape, q)), (q - tape)[:, leg].mean()
+    within, scale = tolerance(abs(moved)), reads / moved
+    if abs(scale - 1.0) <= within:
+        if abs(off_m) <= max(ZERO_M, SIGMAS * TAPE_M):
+            return None
+        text = f"at the known poses it reads {1e3 * off_m:+.1f} mm off the tape"
+        remedy = f"Encoder, belt or coupling has slipped since the tape on trestles. {AFTER}"
+        return Finding("slipped", (leg,), text, remedy)
+    other = int(np.argmin(np.abs(tape - q[:, [leg]]).max(axis=0)))
+    if np.abs(tape[:, [leg, other]] - q[:, [other, leg]]).max() <= ZERO_M:
+        text = f"it reads leg {other}, and that reads this: encoder cables, or node numbers (ids_swapped)"
+        return Finding("encoder_crossed", (leg,), text, f"Exchange them back. {AFTER}")
+    text = f"between the known poses it reads {scale:.3f} m a m by tape, +- {within:.3f}: "
+    text += "encoder_scale, or wrong_lead of screw or gear"
+    return Finding("scale_or_lead", (leg,), text, f"Compare counts per m, lead and gear. {AFTER}")
 
 
 def _load(c: Context) -> Iterator[Finding]:
@@ -114,10 +147,10 @@ def gap(c: Context) -> Finding | None:
 STEP = Step(
     "mounted",
     "the platform on its legs",
-    "has you weigh the platform, and reads the legs with all drives off while it hangs at known poses",
+    "has you weigh the platform and measure the legs, all drives off, while it hangs at known poses",
     "Ctrl-C; no drive is powered",
     find,
     judge,
     gap=gap,
-    tables=("mounted", "load"),
+    tables=("mounted", "taped", "load"),
 )

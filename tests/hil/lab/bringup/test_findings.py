@@ -119,13 +119,20 @@ FORGOTTEN_M = np.array([0.025, 0.02, 0.03, 0.025, 0.0125, 0.05])
 """Different for each leg."""
 
 
+def at_poses(context, q):
+    """Facts about legs that read q (poses, 6) m at the known poses and have the right lengths by tape."""
+    tables = {"mounted": q, "taped": context.machine.pose_lengths}
+    return {
+        name: {str(k): {"q_m": each.tolist(), "answers": ANSWERS} for k, each in enumerate(lengths)}
+        for name, lengths in tables.items()
+    }
+
+
 def hung(context, off_m):
     """Names and legs of the findings if each leg reads `off_m` too much at both poses."""
     context.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = context.machine.pose_lengths + off_m
-    context.facts["mounted"] = {
-        str(k): {"q_m": each.tolist(), "answers": ANSWERS} for k, each in enumerate(q)
-    }
+    context.facts |= at_poses(context, q)
     return [(finding.name, finding.legs) for finding in mounted.judge(context)]
 
 
@@ -161,9 +168,7 @@ def test_gravity_that_differs_from_the_configuration_is_a_finding(presses, seen,
     c = Rehearsal("virtual").context
     c.machine = replace(c.machine, presses=presses)
     c.facts["load"] = {"mass_kg": 0.0, "presses": float(seen)}
-    c.facts["mounted"] = {
-        str(k): {"q_m": q.tolist(), "answers": ANSWERS} for k, q in enumerate(c.machine.pose_lengths)
-    }
+    c.facts |= at_poses(c, c.machine.pose_lengths)
     assert [f.name for f in mounted.judge(c)] == ["gravity"] * named
 
 
@@ -171,7 +176,7 @@ def test_slipped_legs_with_opposite_errors_are_two_findings():
     c = Rehearsal("virtual").context
     c.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = c.machine.pose_lengths + 6e-3 * np.array([0, 0, 0, 1, -1, 0])
-    c.facts["mounted"] = {str(k): {"q_m": each.tolist(), "answers": ANSWERS} for k, each in enumerate(q)}
+    c.facts |= at_poses(c, q)
     findings = list(mounted.judge(c))
     assert [(f.name, f.legs) for f in findings] == [("slipped", (3,)), ("slipped", (4,))]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -15,11 +15,13 @@ from hil.lab.bringup import command
 from hil.lab.bringup.context import Finding
 from hil.lab.bringup.drives import Drives
 from hil.lab.bringup.procedure import STEPS, Outcome
+from hil.lab.bringup.rehearsal import mistake_of
 from hil.lab.bringup.steps import brakes, encoder, ids
 from hil.lab.bringup.store import Store, identity
+from plant_fmu.rehearsal.wiring import wired
 from tests.hil.lab.bringup.rehearsals import Rehearsal, named
 
-MOUNTED = STEPS[-1:]
+MOUNTED = STEPS[-2:-1]
 
 
 def saved(rehearsal: Rehearsal) -> list[str]:
@@ -33,7 +35,7 @@ def asked(rehearsal: Rehearsal, act: str) -> list[float]:
     return [request.value for request in rehearsal.hands.requests if request.act == act]
 
 
-@pytest.mark.parametrize("stop_at", [3, 4], ids=["first pose", "second pose"])
+@pytest.mark.parametrize("stop_at", [2, 9], ids=["first pose", "second pose"])
 def test_interrupted_mounting_is_recorded_as_a_hanging_platform(stop_at: int) -> None:
     rehearsal = Rehearsal("virtual", stop_at=stop_at)
     written = saved(rehearsal)
@@ -135,6 +137,78 @@ def test_mass_stays_unproven_if_the_platform_cannot_be_weighed(typed):
     assert outcome.findings == ()
     assert len(outcome.gaps) == (typed == 0.0)
     assert outcome.passed == (("mounted",) if typed else ())
+
+
+@pytest.mark.parametrize(
+    ("mistake", "found"),
+    [
+        ("offset leg=2 value=0.004", ("slipped", (2,))),
+        ("encoder_scale leg=3 value=0.85", ("scale_or_lead", (3,))),
+        ("wrong_lead leg=2", ("scale_or_lead", (2,))),
+        ("upside_down", ("gravity", ())),
+    ],
+)
+def test_tape_at_the_known_poses_finds_what_changed_at_mounting(mistake, found):
+    rehearsal = Rehearsal("desktop", wired(mistake_of(f"{mistake} mounting")))
+    assert named(rehearsal.run(MOUNTED)) == {found}
+    assert Rehearsal("desktop").run(MOUNTED).success
+
+
+def test_crossed_encoders_are_found_by_tape_and_not_taken_for_other_joints():
+    rehearsal = Rehearsal("virtual", wired(mistake_of("encoder_crossed leg=1 other=4 mounting")))
+    assert named(rehearsal.run(MOUNTED)) == {("encoder_crossed", (1,)), ("encoder_crossed", (4,))}
+
+
+@pytest.fixture(scope="module")
+def proven():
+    """Facts of a good machine about its legs on trestles."""
+    rehearsal = Rehearsal("virtual")
+    rehearsal.run(STEPS[:4])
+    return json.dumps({"encoder": rehearsal.context.facts["encoder"], "platform": {"hung": True}})
+
+
+def hoisted(facts: str, wiring: str = "") -> Rehearsal:
+    """A mounted machine of which only the step on the hoist is missing."""
+    rehearsal = Rehearsal("virtual", wiring, facts=json.loads(facts))
+    rehearsal.bench.hung = True
+    return rehearsal
+
+
+@pytest.mark.parametrize(
+    ("mistake", "found"),
+    [
+        ("", None),
+        ("brake_crossed leg=1 other=4", ("brake_crossed", (1, 4))),
+        ("brake_of_another leg=1 other=4", ("brake_crossed", (1, 4))),
+        ("brake_stuck_open leg=2", ("brake_stuck_open", (2,))),
+        ("encoder_late leg=2 value=0.02", ("late_or_lags", (2,))),
+        ("force_lags leg=2 value=0.05", ("late_or_lags", (2,))),
+    ],
+)
+def test_brakes_and_drives_are_tested_again_on_the_hoist(proven, mistake, found):
+    rehearsal = hoisted(proven, mistake)
+    outcome = rehearsal.run(STEPS[-1:])
+    assert found in named(outcome) if found else outcome.success
+    acts = [(each.act, each.word) for each in rehearsal.hands.requests]
+    assert acts[0] == ("carry", "carried")
+    assert ("take_down", "down") not in acts
+    assert rehearsal.watched.most_open == 1 + mistake.startswith("brake_of_another")
+
+
+def test_brake_shuts_at_once_if_the_legs_carry_the_platform_after_all(proven):
+    rehearsal = hoisted(proven)
+    bench, do = rehearsal.bench, rehearsal.bench.do
+
+    def slack(act: str, *given: Any) -> float:
+        if act == "carry":
+            bench._legs.push(2, 300.0, on=True)
+        return do(act, *given)
+
+    cast("Any", bench).do = slack
+    before = bench.length(2)
+    assert named(rehearsal.run(STEPS[-1:])) == {("loaded", (2,))}
+    assert 5e-4 < bench.length(2) - before < 5e-3
+    assert not rehearsal.context.facts["hoisted"].get("opens")
 
 
 FOUND = (Finding("encoder_sign", (3,), "", ""),)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from itertools import count
 from typing import Any
 
 import pytest
@@ -186,3 +187,16 @@ def test_identities_of_each_family_are_read():
     assert told["cubemars"] == told["legs_fd"] == ({},) * 6
     silent = {name for name in FAMILIES if not build_protocol(family(name)).traits.identity_requests}
     assert silent == {"legs_fd", "legs_classic", "cubemars", "mini_cheetah"}
+
+
+@pytest.mark.parametrize(("every", "found"), [(1000, False), (100, False), (16, True)])
+def test_scan_at_50_Hz_judges_lost_answers_by_their_share(every, found):
+    rehearsal, polls = Rehearsal("vcan50"), count(1)
+    sender = rehearsal.drives.protocol.sender
+
+    def lossy(heard, _):
+        lost = next(polls) % every == 30 % every
+        return heard._replace(frames=tuple(f for f in heard.frames if not lost or sender(f.frame) != 2))
+
+    rehearsal.hears(lossy)
+    assert named(rehearsal.run(SCAN)) == ({("frames_lost", (2,))} if found else set())

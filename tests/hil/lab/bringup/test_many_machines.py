@@ -19,8 +19,8 @@ from plant_fmu.rehearsal.wiring import wired
 from tests.hil.lab.bringup.rehearsals import Rehearsal, Seen
 
 MACHINES, OFF_M, NAMED = 60, 5e-3, 0.9
-SYNONYMS = {"ids_swapped": "mounted_elsewhere", "encoder_crossed": "mounted_elsewhere", "offset": "slipped"}
-"""Findings of the step `mounted` for mistakes that are made when mounting."""
+SYNONYMS = {"offset": "slipped", "upside_down": "gravity", "brake_of_another": "brake_crossed"}
+"""Findings for mistakes that are made when mounting."""
 ALONE = {
     "brake_late": (0.1, 0.5),
     "encoder_late": (0.015, 0.06),
@@ -48,8 +48,16 @@ MOUNTING = {
     "encoder_frozen": None,
     "offset": (0.006, 0.02),
     "frames_lost": (0.03, 0.15),
+    "brake_crossed": None,
+    "brake_of_another": None,
+    "encoder_late": (0.015, 0.06),
+    "force_lags": (0.03, 0.1),
+    "encoder_scale": (1.15, 2.0),
+    "wrong_lead": (1.15, 1.4),
+    "upside_down": None,
 }
-WHOLE, PAIRS = {"payload", "frames_lost"}, {"motor_crossed", "ids_swapped", "encoder_crossed"}
+WHOLE = {"payload", "frames_lost", "upside_down"}
+PAIRS = {"motor_crossed", "ids_swapped", "encoder_crossed", "brake_crossed", "brake_of_another"}
 
 
 def drawn(chance: np.random.Generator, table: dict[str, Any]) -> str:
@@ -130,12 +138,12 @@ def test_no_machine_is_released_off_its_path_and_causes_are_listed(monkeypatch, 
     ],
 )
 def test_mistake_made_when_mounting_stops_the_first_motion_and_is_listed(monkeypatch, words):
-    text, released, off_m = brought_up(monkeypatch, "virtual", [words], STEPS[-1:])
+    text, released, off_m = brought_up(monkeypatch, "virtual", [words], STEPS[-2:-1])
     assert not released
     assert words.split()[0] in text
     assert off_m < 6e-3
 
 
 def test_frames_lost_since_the_mounting_are_found_while_the_platform_hangs(monkeypatch):
-    text, released, _ = brought_up(monkeypatch, "virtual", ["frames_lost mounting"], STEPS[-1:])
+    text, released, _ = brought_up(monkeypatch, "virtual", ["frames_lost mounting"], STEPS[-2:-1])
     assert ("frames_lost" in text, released) == (True, False)

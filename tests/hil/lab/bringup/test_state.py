@@ -56,7 +56,8 @@ def test_kept_facts_are_read_and_only_missing_ones_measured(tmp_path):
     del store.facts["gauge"]["1"], store.facts["held"]["2"]
     again = Rehearsal("virtual", facts=store.facts)
     assert again.run().passed == tuple(step.name for step in STEPS)
-    asked = [(request.act, request.leg) for request in again.hands.requests]
+    acts = [request.act for request in again.hands.requests]
+    asked = [(each.act, each.leg) for each in again.hands.requests[: acts.index("hang")]]
     assert [each for each in asked if each[0] in {"read_gauge", "read_held"}] == [
         ("read_held", 2),
         *[("read_gauge", 1)] * 4,
@@ -91,6 +92,8 @@ def all_facts() -> dict[str, dict[str, Any]]:
     }
     whole: dict[str, dict[str, Any]] = {
         "mounted": {"0": {"q_m": [1.0] * 6}, "1": {"q_m": [1.1] * 6}},
+        "taped": {"0": {"q_m": [1.0] * 6}, "1": {"q_m": [1.1] * 6}},
+        "hoisted": {"unloaded": {str(k): True for k in range(6)}},
         "load": {"mass_kg": 1150.0, "presses": 1.0},
         "passed": dict.fromkeys([*OF_LEGS, "mounted"], True),
     }
@@ -166,4 +169,5 @@ def test_only_the_repaired_leg_is_measured_again_after_a_finding(tmp_path, monke
     store.forget(bad.run().findings)
     good = Rehearsal("virtual", facts=Store(state, identity(c, ())).facts)
     assert good.run().success
-    assert {r.leg for r in good.hands.requests if r.leg >= 0} == {3}
+    acts = [r.act for r in good.hands.requests]
+    assert {r.leg for r in good.hands.requests[: acts.index("hang")] if r.leg >= 0} == {3}

@@ -53,7 +53,7 @@ def test_drives_on_a_dead_bus_are_not_reported_as_switched_off(bench):
     assert "could not be sent to the drives" in story.done_text
     assert "10 ms" in story.done_text
     assert "`brake`" in story.done_text
-    later = go_on(bench, narrator, 3)
+    later = go_on(bench, narrator, 12)
     assert "all six in OFF" in later.done_text
     assert not any("--release" in advice for advice in later.next), "nothing is held"
 

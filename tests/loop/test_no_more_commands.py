@@ -96,6 +96,6 @@ def test_a_run_with_an_early_arm_ends_and_logs_each_refusal(tmp_path):
     assert run.summary["commands"] == {"given": 7, "refused": 5, "not_reached": 0}
     told = [event for event in run.log.events() if event.text.startswith(REFUSED)]
     assert {event.level for event in told} == {"warning"}
-    for n, (event, word) in enumerate(zip(told, ("arm", "move", "hold", "nothing is held"), strict=True)):
+    for n, (event, word) in enumerate(zip(told, ("arm", "moving", "hold", "nothing is held"), strict=True)):
         assert event.t_ns // 1_000_000 == n
         assert word in event.text

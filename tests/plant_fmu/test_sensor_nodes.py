@@ -221,7 +221,7 @@ def test_time_stamps_are_relative_to_the_sync_on_the_sensors_own_bus(bus):
 def test_sensors_on_a_plant_without_a_pose_are_refused():
     plant = Mover()
     plant.blind = True
-    with pytest.raises(PlantError, match="reports no platform pose"):
+    with pytest.raises(PlantError, match="does not know its pose"):
         run(EXACT, plant=plant)
 
 

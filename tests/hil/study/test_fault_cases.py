@@ -124,7 +124,7 @@ def test_a_dead_bus_in_motion_fails_drives_without_a_watchdog(name, watched):
         and "they keep the last torque" in found["verdict"]
     )
     assert reported is not watched
-    assert watched or "have no watchdog that is set from here" in found["verdict"]
+    assert watched or "have no watchdog that this program sets" in found["verdict"]
 
 
 @pytest.mark.long

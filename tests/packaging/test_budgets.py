@@ -16,7 +16,7 @@ BUDGETS = {
     "hil/record": (4_730, 37_300),
     "hil/config hil/app/configuration": (3_930, 25_700),
     "hil/design hil/proof": (6_150, 56_700),
-    "hil/lab": (7_980, 67_500),
+    "hil/lab": (8_010, 67_800),
     "hil/study": (8_030, 64_900),
     "hil/app": (10_980, 81_050),
     "hil/cli": (2_300, 11_800),

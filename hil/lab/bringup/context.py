@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -154,6 +155,10 @@ class Context:
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
     save: Callable[[], None] = lambda: None
     """Called after every new result, to store it."""
+    most_m: float = inf
+    """Largest travel of any leg while a brake is open, m; more ends the run. inf: legs on trestles."""
+    opened_at: list[Array] = field(default_factory=list)
+    """Leg lengths (6,) m as read when the present brake began to open."""
 
     def known(self, step: str, leg: int) -> Any:
         """Stored result of a step for a leg; None if not measured yet."""
@@ -223,16 +228,14 @@ class Context:
             self.drives.step()
 
     @contextmanager
-    def opened(
-        self, leg: int, *, timed: bool = False, watch: Callable[[], None] = lambda: None
-    ) -> Iterator[None]:
+    def opened(self, leg: int, *, timed: bool = False) -> Iterator[None]:
         """Open the brake of one leg without force; shut it on every exit. Raises StoppedError if not powered.
 
         timed: the caller times the closing. If not, and if it may be late, the exit waits UNTIMED_S longer.
-        watch: called in each tick while it opens; may raise StoppedError.
         """
         self.take_down()
         timed = timed or (self.known("shuts", leg) or {}).get("late_s") == 0.0
+        self.opened_at[:] = [self.lengths()] if self.most_m < inf else []
         try:
             why = self.drives.power(leg)
             if why:
@@ -240,12 +243,12 @@ class Context:
                 raise StoppedError(Finding("not_powered", (leg,), why, remedy))
             for _ in range(self.drives.ticks(self.machine.brake_open_s)):
                 self.drives.step(DriveMode.RUN, leg)
-                watch()
+                self.stay(leg)
             for _ in range(self.drives.report_ticks):
                 if self.drives.record["drive_state"][leg] != DriveState.READY:
                     break
                 self.drives.step(DriveMode.RUN, leg)
-                watch()
+                self.stay(leg)
             yield
         finally:
             self.drives.off(self.machine.brake_shut_s + (0.0 if timed else UNTIMED_S))
@@ -260,6 +263,21 @@ class Context:
             text = f"the drive has gone from RUN to {state.name}{': ' * bool(why)}{why}"
             remedy = "Check the drive's fault; WATCHDOG: this machine or the bus stalled. Try again."
             raise StoppedError(Finding("lost_power", (drive,), text, remedy))
+        self.stay(drive)
+
+    def stay(self, drive: int) -> None:
+        """Raise StoppedError if a leg has moved by more than `most_m` since a drive's brake began to open."""
+        if not self.opened_at:
+            return
+        reads = len(self.reads())
+        moved = {leg: m for leg, m in self.travelled(self.opened_at[0]).items() if abs(m) > self.most_m}
+        if moved or reads < LEGS:
+            legs = ", ".join(f"leg {leg} {1e3 * m:+.2f} mm" for leg, m in moved.items())
+            text = f"with the brake of drive {drive} open, {legs} moved; allowed: {1e3 * self.most_m:g} mm"
+            if reads < LEGS:
+                text = f"only {reads} encoders are known: the travel of the other legs cannot be watched"
+            remedy = "Tighten the hoist. If another leg moved, exchange the brakes' cables (brake_crossed)."
+            raise StoppedError(Finding("loaded", tuple(moved), text, remedy))
 
     def fault_of(self, drive: int) -> str:
         """The fault that a drive reports, as text; empty: no fault."""

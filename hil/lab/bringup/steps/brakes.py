@@ -46,9 +46,7 @@ FEWEST = 3
 
 def find(c: Context) -> None:
     """Have the operator push each leg with all brakes shut, then with its drive's brake open."""
-    for leg in c.missing("held"):
-        c.take_down()
-        c.keep("held", leg, holds(c, leg))
+    hold(c)
     firm = [leg for leg, held in c.table("held").items() if not held["moved"]]
     for drive in range(LEGS):
         if c.known("opens", drive) is None:
@@ -56,6 +54,13 @@ def find(c: Context) -> None:
         legs = c.known("opens", drive)["legs"]
         if c.known("shuts", drive) is None and len(legs) == 1 and legs[0] in firm:
             c.keep("shuts", drive, shuts(c, drive, legs[0]))
+
+
+def hold(c: Context) -> None:
+    """Have the operator push each leg with all brakes shut."""
+    for leg in c.missing("held"):
+        c.take_down()
+        c.keep("held", leg, holds(c, leg))
 
 
 def opened_by(c: Context, drive: int, firm: list[int]) -> dict[str, Any]:
@@ -189,7 +194,7 @@ def judge(c: Context) -> list[Finding]:
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     opens = {drive: fact["legs"] for drive, fact in c.table("opens").items()}
     loose = [leg for leg, fact in c.table("held").items() if fact["moved"]]
-    inverted = {counts.get(d, d): d for d in range(LEGS) if not opens[d] and counts.get(d, d) in loose}
+    inverted = {counts.get(d, d): d for d in opens if not opens[d] and counts.get(d, d) in loose}
     for leg, drive in inverted.items():
         text = f"leg {leg} of drive {drive} moves when pushed with its brake shut, and holds with it open"
         remedy = "Invert the output or the brake's relay. Without power this leg falls; do not load it."
@@ -197,7 +202,9 @@ def judge(c: Context) -> list[Finding]:
     for leg in set(loose) - inverted.keys():
         remedy = "Check the brake, its supply and its air gap; do not load this leg."
         name("brake_stuck_open", [leg], "it moves when pushed, with its brake commanded shut", remedy)
-    crossed = {d: j for d, j in counts.items() if j != d and has_crossed_encoder(d, counts, opens)}
+    crossed = {
+        d: j for d, j in counts.items() if j != d and d in opens and has_crossed_encoder(d, counts, opens)
+    }
     exchanged = {d: j for d, j in counts.items() if j != d and d not in crossed}
     if exchanged:
         nodes = c.machine.node_ids

@@ -92,8 +92,6 @@ class Device(NamedTuple):
     """STAMPED, SYNCED or FREE."""
     latency_s: float = 0.0
     """From the instant of a sample to its frame; with SYNCED from that instant to SYNC."""
-    jitter_s: float = 0.0
-    """Largest error of that time."""
     poll: Frame | None = None
     """Frame that the controller sends for each sample."""
     start: tuple[Frame, ...] = ()
@@ -142,12 +140,8 @@ class Timed(SensorFamily):
     latency_ms: Annotated[float, Key(ge=0)] = 0.0
     """From the instant of a sample to the arrival of its frame. With trigger sync: from that instant to the
     SYNC, for devices that filter."""
-    jitter_ms: Annotated[float, Key(ge=0)] = 0.0
-    """Largest error of that time."""
 
     def timed(self, trigger: Literal["sync", "free"], **values: Any) -> Device:
         """Device with the stated times."""
         timing = SYNCED if trigger == "sync" else FREE
-        return Device(
-            timing=timing, latency_s=1e-3 * self.latency_ms, jitter_s=1e-3 * self.jitter_ms, **values
-        )
+        return Device(timing=timing, latency_s=1e-3 * self.latency_ms, **values)

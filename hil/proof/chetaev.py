@@ -36,7 +36,7 @@ def _rays(n: int) -> Iterator[tuple[float, ...]]:
 
 
 def function(V: sp.Expr | None, signs: Signs) -> sp.Expr | None:
-    """W for which Chetaev's theorem proves instability: V, -V or a state; None if there is none."""
+    """W for which Chetaev's theorem proves instability: V, -V or a state; None if it proves nothing."""
     states = signs.system.states
     tried = [] if V is None else [V, -V]
     tried += [s * x for x in states for s in (1, -1)]

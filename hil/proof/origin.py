@@ -73,7 +73,7 @@ class Ray:
         return powers + self._derivative(k) / sp.factorial(k)
 
     def _derivative(self, j: int) -> sp.Expr:
-        """Part of g that is no power of t, differentiated j times; nan, which proves nothing, if too long."""
+        """j-th derivative of g without its pure powers of t; nan, which proves nothing, if too long."""
         while len(self._derivatives) <= j:
             last = self._derivatives[-1]
             self._derivatives.append(sp.nan if last.count_ops() > LONGEST else sp.diff(last, T))

@@ -53,8 +53,8 @@ def verify(
     """Prove or refute that V is a Lyapunov function of dx/dt = f(x); find the stability of the equilibrium.
 
     `f` maps each state to its time derivative, `V` is the Lyapunov candidate, both in SymPy; if omitted, one
-    is proposed from the linearisation. `at` is the equilibrium; omitted states are 0. V is claimed on `box`,
-    in which omitted states are unbounded. Without a box V is claimed on the whole space, and stability may be
+    is proposed from the linearisation. `at` is the equilibrium; omitted states are 0. V shall hold on `box`,
+    in which omitted states are unbounded. Without a box V shall hold on the whole space, and stability may be
     proven globally. All other symbols are parameters: any positive number, or a number in a range of
     `parameters`. `budget` limits cells and seconds.
 

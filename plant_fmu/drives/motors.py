@@ -216,7 +216,7 @@ class MotorDrives(codec.DrivesEnd):
     def request(self, leg: int | None, frame: Frame) -> None:
         """Process a frame that the kernels do not decode; called by `converse`.
 
-        leg: addressed leg, None if there is none; the frame has bus index 0.
+        leg: addressed leg, None if the frame addresses no leg; the frame has bus index 0.
         """
         raise NotImplementedError
 

@@ -79,7 +79,7 @@ def _identity(command: tuple[str, ...], argument: str) -> str | None:
 def find_compiler(*, zig: bool = False) -> Compiler:
     """Command line of a C compiler: $CC, the system's cc, or zig from the package ziglang.
 
-    zig: True to accept zig only. Raises PlantError with what to install if there is none.
+    zig: True to accept zig only. Raises PlantError, with what to install, if no compiler is found.
     """
     if not zig:
         wanted = os.environ.get("CC")

@@ -136,7 +136,7 @@ def test_xsens_rates_and_accelerations_are_one_sample(high_rate):
     )
     expected = [(v["decoded"])[name] for v, own in ((rate, names[:3]), (force, names[3:])) for name in own]
     assert last("imu", settings, IMU, frame(rate), frame(force)) == pytest.approx(expected)
-    assert heard("imu", settings, frame(rate)).slots["count"][IMU] == 0, "half a sample is none"
+    assert heard("imu", settings, frame(rate)).slots["count"][IMU] == 0, "half a sample does not count"
     early, late = Received(0, frame(rate)), Received(2_000_000, frame(force))
     found = unheard(
         SensorProtocol(BusSettings(), SensorSettings.model_validate({"imu": settings}), ROOT).tables

@@ -23,7 +23,7 @@ LAGS = 3.0
 
 
 def certified(controller: LawSettings) -> ErrorDynamics | str:
-    """Error dynamics that have a Lyapunov function with constant gains, or the reason why there are none."""
+    """Error dynamics that have a Lyapunov function with constant gains; else, as text, why they have none."""
     dynamics = controller.error_dynamics()
     if isinstance(dynamics, ErrorDynamics) and isinf(dynamics.steepness):
         return "without a boundary layer it switches: its gains are infinite"

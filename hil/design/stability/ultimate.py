@@ -104,7 +104,7 @@ class Ultimate(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """Sampled loops of the axes, and their ultimate bound or the reason why there is none."""
+    """Sampled loops of the axes, and their ultimate bound, or why no bound holds, as text."""
 
     loops: list[Sampled]
     """Loop of each axis to which the bound applies."""
@@ -133,7 +133,7 @@ def ultimate(
     *,
     condition: float,
 ) -> Ultimate | str:
-    """Ultimate bound along the path sampled in `path`, or the reason, as text, why there is none.
+    """Ultimate bound along the path sampled in `path`, or why no bound holds, as text.
 
     found_along: the robot at each sample. loops: of each axis, with the gain of their survey.
     condition: largest allowed condition number of J in the tube.

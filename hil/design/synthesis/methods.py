@@ -1,4 +1,4 @@
-"""H-infinity and mu synthesis for a design: a controller, or the reason why there is none.
+"""H-infinity and mu synthesis for a design: a controller, or the reason why none was found.
 
 Input: a design and an axis; output: controller and figures; no files.
 """

@@ -1,4 +1,4 @@
-"""`hil new --from`: a URDF of a robot in general position, and files that are none of a Stewart platform."""
+"""`hil new --from`: a URDF of a robot in general position, and files that do not describe a Stewart platform."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ def test_coupling_is_unknown_if_all_axes_move_together(quiet):
 
 
 def test_a_delay_that_noise_hides_is_refused(quiet):
-    """Little noise lets transport and lag be told apart, more of it their sum, and still more nothing."""
+    """Low noise gives transport and lag, higher noise only their sum, still higher noise neither."""
     slow = quiet._replace(excited=quiet.excited & (quiet.frequency_Hz < 100.0)[:, None])
     found = fit_axes(slow._replace(std=np.full_like(slow.std, 0.1))).delays
     assert found.lag_s == found.lag_std_s == 0.0

@@ -1,11 +1,6 @@
 """Kernels of the protocol `legs` for the controller: feedback frames to SI values, leg forces to frames.
 
-Fields are little-endian, those of 64 bits float64. The end-to-end checks are SAE J1850 CRC-8, and a CRC-16 in
-longer frames. Both begin with the two bytes of the identifier, low byte first: a frame sent or routed under
-another identifier fails. CRC-8 detects any two wrong bits in up to 255 (Hamming distance 3). The command of
-layout fd has 224 bits, with its check 240; its CRC-16 detects any four wrong bits (Hamming distance 5).
-Polynomial 0x5935 is from P. Koopman's tables (0xAC9A in his notation, the best of 16 bits for up to 241 bits
-of data); CCITT's 0x1021 detects three. `tests/drivers/test_crc.py` counts this out.
+Fields are little-endian, those of 64 bits float64. Frames end in a check of `drivers.legs.crc`.
 """
 
 from __future__ import annotations
@@ -15,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Bytes, Ints
-from drivers.compiled.compiler import DATA, INTEGER, helper, kernel, record
+from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, pointed, reals_at, records_at
 from drivers.frame_pointers import begin_measurement, begin_sent, frames_at, place_of, signed, whole
+from drivers.legs.crc import check_of, intact
 from drivers.protocol import ERROR, EXTENDED, REMOTE
 from drivers.signals import INVALID, LEGS, DriveFault, DriveState, Foreign
 from drivers.tick_columns import TICK, part
@@ -55,7 +51,7 @@ ENDS = np.dtype(
         *((name, "<f8", (QUANTITIES,)) for name in ("scale", "low", "high")),
         *((name, "<f8") for name in ("step", "least", "most", "watchdog_s")),
         *((name, "<i8", (LEGS,)) for name in ("expected", "said", "sent", "owed", "doubt")),
-        *((name, "<i8") for name in ("confirmed", "interval")),
+        *((name, "<i8") for name in ("confirmed", "interval", "answered")),
         ("present", "<i8", (LEGS,)),
     ]
 )
@@ -66,9 +62,10 @@ missing), scale and range, SI; of a force step and range, in steps if it is roun
 watchdog, s.
 
 State of the controller: checksum of each leg's set-up, checksum in its last status, number of CONFIG sent to
-it; the SYNCs that its drive may still answer, bit k: that of k ticks ago; ticks for which its answers have
-been in doubt, see `_pay`, 0: they are not; bit i: the last status of drive i has confirmed it; ticks from one
-CONFIG of a drive to its next. State of the drives: Cycle of the present SYNC of each bus."""
+it; the SYNCs that its drive may still answer, bit k: that of k ticks ago; ticks in which its answers were in
+doubt, see `_pay`, 0: they are not; bit i: the last status of drive i has confirmed it; ticks from one CONFIG of
+a drive to its next; bit i: an answer of drive i in this tick. State of the drives: Cycle of the present SYNC of
+each bus."""
 NO_SYNC = -1
 """SYNC counter of drives that have received no SYNC yet."""
 CHANGED = 1
@@ -79,53 +76,6 @@ _STATES = len(DriveState)
 _FAULTS = len(DriveFault)
 _ALL = (1 << LEGS) - 1
 _TICK = record(TICK, "tick", *part("measurement"))
-
-
-POLYNOMIAL = 0x1D
-"""x^8 + x^4 + x^3 + x^2 + 1; start and final XOR 0xFF; the check value of b"123456789" is 0x4B."""
-POLYNOMIAL_16 = 0x5935
-"""x^16 + x^14 + x^12 + x^11 + x^8 + x^5 + x^4 + x^2 + 1; start 0xFFFF, no final XOR; the check value of
-b"123456789" is 0x772B, that of CRC-16/M17."""
-
-
-def _table(polynomial: int, bits: int) -> Ints:
-    """CRC table: byte * x^bits modulo the generator polynomial of degree `bits`, for each byte."""
-    register = np.arange(256) << bits - 8
-    for _ in range(8):
-        register = register << 1 ^ (register >> bits - 1) * (1 << bits | polynomial)
-    return register
-
-
-_TABLE, _TABLE_16 = _table(POLYNOMIAL, 8).astype(np.uint8), _table(POLYNOMIAL_16, 16)
-
-
-@helper
-def check_of(identifier: int, data: Any, size: int, width: int) -> int:
-    """CRC of an identifier and data[:size]: `width` bytes (1: CRC-8, 2: CRC-16), high bit first."""
-    if width == 1:
-        register = int(_TABLE[_TABLE[0xFF ^ (identifier & 0xFF)] ^ (identifier >> 8)])
-        for k in range(size):
-            register = int(_TABLE[register ^ int(data[k])])
-        return register ^ 0xFF
-    register = 0xFFFF
-    for k in range(-2, size):
-        byte = int(data[k]) if k >= 0 else identifier >> 8 * (k + 2) & 0xFF
-        register = ((register << 8) & 0xFFFF) ^ _TABLE_16[(register >> 8) ^ byte]
-    return register
-
-
-@helper
-def intact(frame: Any) -> bool:
-    """True if a FRAME record is not empty and ends in its valid CRC-8."""
-    identifier: Any = np.int64(frame.id)
-    last: Any = np.int64(frame.length) - 1
-    return bool(check_of(identifier, frame.data, last, 1) == frame.data[last])
-
-
-@kernel(INTEGER, DATA, INTEGER)
-def check(identifier: int, data: Any, width: int) -> int:
-    """CRC of an identifier and data, `width` bytes (1 or 2), for Python code; see `check_of`."""
-    return check_of(identifier, data, len(data), width)
 
 
 @helper
@@ -167,7 +117,11 @@ def _owe(e: Any, elapsed: int) -> None:
     for leg in range(LEGS):
         earlier = e.owed[leg] << min(elapsed, HISTORY) if e.confirmed >> leg & 1 else 0
         e.owed[leg] = (earlier | 1) & (1 << HISTORY) - 1
-        e.doubt[leg] = e.doubt[leg] + elapsed if e.doubt[leg] and e.owed[leg] > ROUND else 0
+        if e.owed[leg] <= ROUND:
+            e.doubt[leg] = 0
+        elif e.doubt[leg] > 0:
+            e.doubt[leg] += e.answered >> leg & 1
+    e.answered = 0
 
 
 @helper
@@ -176,13 +130,14 @@ def _pay(e: Any, leg: int, behind: int) -> bool:
 
     Frames of a node keep their order: an answer belongs to the oldest SYNC with its counter that has none
     yet, and SYNCs before that one no longer get any. A drive that missed 16 SYNCs and then answers in time
-    sends the same frames as one that stays 16 ticks late. It is taken to be in time OLDEST ticks after its
-    first answer: so long it is in doubt.
+    sends the same frames as one that stays 16 ticks late. It is taken to be in time after OLDEST ticks with
+    an answer: so long it is in doubt.
     """
     for earlier in (32, 16, 0):
         bit = np.int64(1) << earlier + behind
         if e.owed[leg] & bit and (earlier == 0 or e.doubt[leg] <= OLDEST):
             e.owed[leg] &= bit - 1
+            e.answered |= 1 << leg
             if earlier:
                 e.doubt[leg] = max(e.doubt[leg], 1)
             return earlier > 0

@@ -225,6 +225,17 @@ def test_late_answers_double_no_node_and_have_the_age_of_their_sync(layout, late
 
 
 @layouts
+@pytest.mark.parametrize("pause", [8, 16, 20])
+def test_late_answers_of_a_drive_that_pauses_again_are_not_taken_as_of_this_tick(layout, pause):
+    silent = [*BEFORE, *[list[int]()] * 20]
+    paused = [[20], [21], [22], *[list[int]()] * pause, *([n] for n in range(23, 40))]
+    found, ages, right = follow(layout, [*silent, *paused])
+    first = 43 + pause
+    assert (found, all(right[: first + 5])) == ([], True)
+    assert min(ages[40 : first + 5]) > 20
+
+
+@layouts
 def test_answer_that_waits_while_the_controller_stalls_for_16_ticks_is_not_of_this_tick(layout):
     for early in (-1, 35):
         stalled = [*BEFORE[:19], [], *[None] * 15, [19, 35], [36]]

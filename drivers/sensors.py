@@ -15,7 +15,7 @@ from drivers.errors import ConfigurationError, HilError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array, sent_frames
 from drivers.frame_pointers import frame_at
-from drivers.legs.kernels import check_of
+from drivers.legs.crc import check_of
 from drivers.protocol import BUS, EXTENDED, FD, Frame
 from drivers.sensing.family import CHANNELS, SYNC_ID, Device, Message, Wanted
 from drivers.sensing.kernels import encode

@@ -61,11 +61,11 @@ COMMAND records; identifiers of the commands of all layouts; of each quantity fi
 missing), scale and range, SI; of a force step and range, in steps if it is rounded, else N; step of the
 watchdog, s.
 
-State of the controller: checksum of each leg's set-up, checksum in its last status, number of CONFIG sent to
-it; the SYNCs that its drive may still answer, bit k: that of k ticks ago; ticks in which its answers were in
-doubt, see `_pay`, 0: they are not; bit i: the last status of drive i has confirmed it; ticks from one CONFIG of
-a drive to its next; bit i: an answer of drive i in this tick. State of the drives: Cycle of the present SYNC of
-each bus."""
+State of the controller: checksum of each leg's set-up, checksum in its last status, number of CONFIG sent
+to it; the SYNCs that its drive may still answer, bit k: that of k ticks ago; ticks in which its answers
+were in doubt, see `_pay`, 0: they are not; bit i: the last status of drive i has confirmed it; ticks from
+one CONFIG of a drive to its next; bit i: an answer of drive i in this tick. State of the drives: Cycle of
+the present SYNC of each bus."""
 NO_SYNC = -1
 """SYNC counter of drives that have received no SYNC yet."""
 CHANGED = 1

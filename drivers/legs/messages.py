@@ -11,7 +11,7 @@ from importlib import resources
 from typing import NamedTuple
 
 from drivers.errors import ConfigurationError
-from drivers.legs.kernels import check
+from drivers.legs.crc import check
 from drivers.protocol import BRS, FD, Frame
 
 COMMANDS = {

@@ -20,7 +20,8 @@ from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, sent_array, sent_frames
 from drivers.frame_pointers import EVERYONE, frame_at, legs_of, place_of
 from drivers.legs import kernels
-from drivers.legs.kernels import COMMAND, ENDS, EXACT, NO_SYNC, QUANTITIES, STRANGE, ends, intact
+from drivers.legs.crc import intact
+from drivers.legs.kernels import COMMAND, ENDS, EXACT, NO_SYNC, QUANTITIES, STRANGE, ends
 from drivers.legs.messages import COMMANDS, SHORT, read_messages, set_up_checksum
 from drivers.protocol import ALL_LEGS, DriveSetup, Frame, Resolution, Traits
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction

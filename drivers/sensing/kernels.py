@@ -10,7 +10,8 @@ from drivers.compiled.compiler import INTEGER, REAL, VECTOR, helper, kernel, rec
 from drivers.compiled.pointed import FAILED, records_at
 from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import signed
-from drivers.legs.kernels import check_of, intact, natural, put
+from drivers.legs.crc import check_of, intact
+from drivers.legs.kernels import natural, put
 from drivers.protocol import ERROR, EXTENDED, REMOTE
 from drivers.sensing.layout import (
     COUNTER,

@@ -1,10 +1,14 @@
-"""The force limits that `kernels.limit_effort` applies: size, change per tick and within 250 ms.
+"""The limits of the leg forces: size, change per tick and within 250 ms.
 
 All three allow the last force sent, so in any order they leave a force that may be sent.
 """
 
+from typing import Any
+
 from drivers.arrays import Array
 from drivers.compiled.compiler import helper
+from drivers.signals import LEGS, Fault, Warn
+from hil.safety.signals import all_finite
 
 
 @helper
@@ -53,3 +57,38 @@ def window_extremes(window: Array, rows: int) -> tuple[Array, Array]:
     low, high = window[rows].copy(), window[rows].copy()
     widen(window[rows:], low, high)
     return low, high
+
+
+@helper
+def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[int, int]:
+    """Fill tau with the limited sum of tau_asked and probe_force; returns fault bits and warning bits.
+
+    window: see `remember`, a ring of the forces sent, its newest row `memory.newest`; receives the forces
+    held during skipped periods, and the new ones. If a requested force is not finite, all become 0,
+    with fault LAW.
+    """
+    faults = warnings = 0
+    tau = tick.tau
+    tau[:] = tick.tau_asked
+    if not all_finite(tau):
+        faults = Fault.LAW.value
+        tau[:] = 0.0
+    for i in range(LEGS):
+        tau[i] += tick.probe_force[i]
+    rows, newest = limits.window_ticks, memory.newest
+    last = window[newest].copy()
+    for _ in range(min(tick.skipped, rows)):
+        newest = (newest + 1) % rows
+        remember(last, newest, window, rows)
+    low, high = window_extremes(window, rows)
+    most, step, reach = limits.force_N, limits.force_step_N, limits.force_window_N
+    for i in range(LEGS):
+        if clamp(tau, i, -most, most):
+            warnings |= Warn.FORCE_LIMIT.value
+        if clamp(tau, i, last[i] - step, last[i] + step):
+            warnings |= Warn.FORCE_STEP.value
+        if clamp(tau, i, high[i] - reach, low[i] + reach):
+            warnings |= Warn.FORCE_WINDOW.value
+    memory.newest = (newest + 1) % rows
+    remember(tau, memory.newest, window, rows)
+    return faults, warnings

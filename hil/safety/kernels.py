@@ -14,7 +14,7 @@ from hil.safety import certificate
 from hil.safety.encoder_limits import ENCODER_LIMITS, ENCODER_MEMORY
 from hil.safety.encoder_rules import judge_encoders, probed
 from hil.safety.error_axes import error_axes
-from hil.safety.force_limits import clamp, remember, window_extremes
+from hil.safety.force_limits import limit_effort
 from hil.safety.motion import HOP, REST_m_s, at_rest, lagging, moved_legs, overspeed, too_fast_for_end
 from hil.safety.signals import (
     CONTROLLER,
@@ -174,41 +174,6 @@ def judge_frames(tick: Any, memory: Any) -> int:
     if tick.mode >= Mode.LOADING and ones(memory.untrusted) >= UNRELIABLE:
         faults |= Fault.REFUSED_FRAMES.value
     return faults
-
-
-@helper
-def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[int, int]:
-    """Fill tau with the limited sum of tau_asked and probe_force; returns fault bits and warning bits.
-
-    window: see `hil.safety.force_limits`, a ring of the forces sent, its newest row `memory.newest`; receives
-    the forces held during skipped periods, and the new ones. If a requested force is not finite, all become
-    0, with fault LAW.
-    """
-    faults = warnings = 0
-    tau = tick.tau
-    tau[:] = tick.tau_asked
-    if not all_finite(tau):
-        faults = Fault.LAW.value
-        tau[:] = 0.0
-    for i in range(LEGS):
-        tau[i] += tick.probe_force[i]
-    rows, newest = limits.window_ticks, memory.newest
-    last = window[newest].copy()
-    for _ in range(min(tick.skipped, rows)):
-        newest = (newest + 1) % rows
-        remember(last, newest, window, rows)
-    low, high = window_extremes(window, rows)
-    most, step, reach = limits.force_N, limits.force_step_N, limits.force_window_N
-    for i in range(LEGS):
-        if clamp(tau, i, -most, most):
-            warnings |= Warn.FORCE_LIMIT.value
-        if clamp(tau, i, last[i] - step, last[i] + step):
-            warnings |= Warn.FORCE_STEP.value
-        if clamp(tau, i, high[i] - reach, low[i] + reach):
-            warnings |= Warn.FORCE_WINDOW.value
-    memory.newest = (newest + 1) % rows
-    remember(tau, memory.newest, window, rows)
-    return faults, warnings
 
 
 @helper

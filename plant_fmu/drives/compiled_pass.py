@@ -27,6 +27,7 @@ from plant_fmu.drives.drive_rules import (
     feed,
     next_move_ns,
     obey,
+    tripped,
 )
 
 NODES_RECORD: Any = record(r.NODES)
@@ -119,7 +120,7 @@ def _happen(n: Any, t_ns: int) -> int:
     other = min(n.edge_ns, n.beat_ns, n.reading_ns, moved)
     if watchdog < t_ns and watchdog <= other:
         n.t_ns, n.now_ns = watchdog, max(n.now_ns, watchdog)
-        return _fail(n, np.flatnonzero(n.deadline_ns <= watchdog), _WATCHDOG)
+        return _fail(n, tripped(n, watchdog), _WATCHDOG)
     if other > t_ns:
         n.calm_ns = min(max(watchdog, t_ns + 1), other)
     elif other in (moved, n.edge_ns):

@@ -157,6 +157,12 @@ def feed(n: Any, leg: int, t_ns: int) -> None:
 
 
 @helper
+def tripped(n: Any, t_ns: int) -> Ints:
+    """Legs of the drives whose watchdog trips by `t_ns` as it was not fed, or whose reaction ends then."""
+    return np.flatnonzero(n.deadline_ns <= t_ns)
+
+
+@helper
 def obey(n: Any, command: Any, t_ns: int) -> int:
     """Execute a command, a MESSAGE, at `t_ns`, when the plant has reached it.
 

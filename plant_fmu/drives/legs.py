@@ -1,4 +1,4 @@
-"""The drives' end of protocol `legs`: fields and checksums as in `drivers.legs.kernels`.
+"""The drives' end of protocol `legs`: fields of `drivers.legs.kernels`, checksums of `drivers.legs.crc`.
 
 CONFIG and E-stop are processed in Python, the other frames in kernels.
 """
@@ -11,7 +11,7 @@ from drivers.compiled.compiler import INTEGER, helper
 from drivers.compiled.pointed import FAILED, integers_at, pointed
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_sent, frame_at, place_of, whole
-from drivers.legs import kernels
+from drivers.legs import crc, kernels
 from drivers.protocol import Frame
 from drivers.signals import LEGS, DriveMode, Reaction
 from plant_fmu.drives.codec import COMMAND, CONFIGURE, REJECTED, STOP, SYNC, DrivesEnd, message_at, reading_at
@@ -30,7 +30,7 @@ def _reject(message: Any) -> int:
 @helper
 def _parse_sync(e: Any, frame: Any, bus: int, message: Any) -> int:
     counter = np.int64(frame.data[0])
-    if frame.length != e.sync_length or not kernels.intact(frame) or counter == e.present[bus]:
+    if frame.length != e.sync_length or not crc.intact(frame) or counter == e.present[bus]:
         return _reject(message)
     e.present[bus] = counter
     message.kind, message.counter, message.count = SYNC, counter, 0
@@ -45,7 +45,7 @@ def _parse_sync(e: Any, frame: Any, bus: int, message: Any) -> int:
 def _parse_command(e: Any, of: Any, frame: Any, message: Any) -> int:
     """Decode a command; bytes after the checksum, which does not cover them, have to be 0."""
     data, at, width = frame.data, of.check[0] >> 3, of.check[1] >> 3
-    if frame.length != of.length or kernels.check_of(of.id, data, at, width) != whole(data, at, width):
+    if frame.length != of.length or crc.check_of(of.id, data, at, width) != whole(data, at, width):
         return _reject(message)
     for k in range(at + width, of.length):
         if data[k]:
@@ -119,7 +119,7 @@ def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: 
                     steps = value if e.bits[k] == kernels.EXACT else np.rint(value / e.scale[k])
                     kernels.write(steps, data, e.start[k], e.bits[k], word)
             data[e.counter_at] = reading.state[leg] << 4 | sync.counter & 0xF
-            data[last] = kernels.check_of(e.feedback[leg], data, last, 1)
+            data[last] = crc.check_of(e.feedback[leg], data, last, 1)
             legs[count] = leg
             count += 1
     return count
@@ -137,12 +137,12 @@ def report(
         said[4], said[5], said[6] = reaction, e.place[leg], e.version
         for k in range(4):
             said[k], said[7 + k] = watchdog >> 8 * k & 0xFF, e.rated_mN >> 8 * k & 0xFF
-        checksum = kernels.check_of(e.config[leg], said, 11, 2)
+        checksum = crc.check_of(e.config[leg], said, 11, 2)
     frame = frame_at(into)
     begin_sent(frame, e.status[leg], e.status_length, e.status_flags, e.home[leg])
     data = frame.data
     data[0], data[1], data[2], data[3] = state, fault, checksum & 0xFF, checksum >> 8
-    data[last] = kernels.check_of(e.status[leg], data, last, 1)
+    data[last] = crc.check_of(e.status[leg], data, last, 1)
     return 1
 
 
@@ -160,7 +160,7 @@ class LegsDrives(DrivesEnd):
             self.put(STOP, sorted(there))
             return
         leg, of, data = config.index(frame.id), self._family.config, frame.data
-        if len(data) != of.length or kernels.check(frame.id, data[:-1], 1) != data[-1]:
+        if len(data) != of.length or crc.check(frame.id, data[:-1], 1) != data[-1]:
             self.put(REJECTED)
             return
         watchdog, reaction, place, version, _ = of.unpack(data)

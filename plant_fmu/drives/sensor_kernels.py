@@ -10,7 +10,8 @@ from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, helper, ker
 from drivers.compiled.pointed import pointed, reals_at, record_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import frame_at
-from drivers.legs.kernels import STRANGE, intact
+from drivers.legs.crc import intact
+from drivers.legs.kernels import STRANGE
 from drivers.sensing.kernels import put_sample, rows_at, slots_at
 from drivers.sensing.layout import (
     FORCE,

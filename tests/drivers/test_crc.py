@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.legs.kernels import check
+from drivers.legs.crc import check
 from tests.drivers.legs_frames import bitwise_crc
 
 

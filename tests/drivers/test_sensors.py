@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.config import BusSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
-from drivers.legs.kernels import check
+from drivers.legs.crc import check
 from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
 from drivers.sensing.kernels import OLDEST
 from drivers.sensing.settings import ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings

@@ -126,6 +126,20 @@ def test_a_stop_in_motion_ends_at_rest_within_the_limits(tmp_path):
     assert stopping["p_d"][-1, 0] < 0.3
 
 
+def test_live_reference_stops_on_its_way_to_an_admitted_pose_before_the_force_limit(tmp_path):
+    u, v = "-0.28,-0.1,0.86,-2.9,-5.2,-4.0", "-0.23,0,0.78,-25.8,38.4,-17.2"
+    (tmp_path / "poses.csv").write_text(f"{POSES.splitlines()[0]}\n0,{u}\n3,{v}\n")
+    summary = simulate(LIVE, log=tmp_path / "a.mcap", duration_s=7.0, setpoints=tmp_path / "poses.csv")
+    assert summary["success"], summary
+    assert (summary["setpoints"]["taken"], summary["setpoints"]["refused"]) == (2, 1)
+    rows = Log.open(tmp_path / "a.mcap").rows()
+    (tick,) = np.flatnonzero(rows["setpoint_refusal"])
+    assert rows["setpoint_refusal"][tick] == Refusal.ON_THE_WAY | Refusal.FORCE
+    assert rows["warnings"][tick] & Warn.SETPOINT
+    assert not rows["twist_d"][tick + 1000].any(), "at rest"
+    assert summary["replay"]["exact"]
+
+
 def test_set_points_that_cannot_be_followed_are_refused(tmp_path):
     (tmp_path / "poses.csv").write_text(POSES)
     with pytest.raises(ConfigurationError, match="--duration"):

@@ -8,8 +8,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
-    "drivers": (10_470, 77_000),
-    "plant_fmu": (8_700, 62_500),
+    "drivers": (10_480, 77_000),
+    "plant_fmu": (8_705, 62_500),
     "hil/loop hil/operate": (6_770, 52_200),
     "hil/safety hil/estimation": (3_130, 25_800),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
@@ -23,7 +23,7 @@ BUDGETS = {
     "hil/contracts": (1_720, 14_900),
     "tools": (2_690, 21_550),
     "configs": (210, 1_900),
-    "tests": (73_320, 655_000),
+    "tests": (73_360, 655_000),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

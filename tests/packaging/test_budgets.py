@@ -23,7 +23,7 @@ BUDGETS = {
     "hil/contracts": (1_720, 14_900),
     "tools": (2_690, 21_550),
     "configs": (210, 1_900),
-    "tests": (73_360, 655_000),
+    "tests": (73_360, 655_600),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

@@ -64,6 +64,22 @@ AREAS = {
         hil/record/entries hil/record/selection hil/record/unpack""",
         "hil/test_mcap_file hil/study/test_export hil/test_log* hil/test_salvage* hil/test_record",
     ),
+    "core": (
+        "hil/robot/* hil/control/* hil/mathematics/* hil/estimation/*",
+        """hil/test_dynamics* hil/test_kinematics hil/test_geometry hil/test_mathematics hil/control/test_*
+        hil/test_estimate hil/test_observer hil/test_predict hil/test_fusion* hil/test_orientation_settings
+        hil/test_effort hil/test_no_blas""",
+    ),
+    "design": (
+        "hil/design/**/* hil/proof/**/*",
+        "hil/design/**/test_* hil/proof/**/test_* hil/app/test_design*",
+    ),
+    "lab": (
+        "hil/lab/**/*",
+        "hil/lab/**/test_* loop/test_identification loop/test_payload loop/test_learning_runs",
+    ),
+    "study": ("hil/study/**/*", "hil/study/**/test_* hil/test_report replay/test_what_if*"),
+    "app": ("hil/app/**/* hil/cli/*", "hil/app/test_*"),
 }
 """Name of an area -> patterns of its sources, and of its tests below `tests`, without `.py`."""
 

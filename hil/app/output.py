@@ -187,11 +187,62 @@ _SILENT = frozenset({"success", "kind", "story", "unwritten"})
 """Keys that the headline shows, or that are for the JSON file only."""
 
 
-def show(title: str, summary: dict[str, Any]) -> None:
-    """Print a summary: a headline, and one aligned line for each figure with its unit."""
-    good = bool(summary["success"])
-    click.secho(f"{title}: {'success' if good else 'failed'}", fg="green" if good else "red", bold=True)
-    rows = figure_rows(summary)
+_DETAILS = (
+    "ending ticks final_mode first_motion_s wall_s real_time_factor recorder_cpu_s resident_MB compute_us "
+    "peak_V_m2_s4 bound_at_peak_m2_s4 largest_share_percent watched_ticks syncs commands final_states "
+    "peak_final_rate_m_s"
+)
+"""Figures of a run that only -v prints."""
+_COUNTERS = (
+    "faults limited_ticks stale_ticks skipped_ticks rejected_frames dropped_ticks alarms stretches missing "
+    "stood_still_ms longest_ms"
+)
+"""Figures of a run that are printed, without -v, only if they are not 0 or empty."""
+
+
+def brief(summary: dict[str, Any]) -> dict[str, Any]:
+    """Figures of a summary that a command prints without -v."""
+    kept: dict[str, Any] = {}
+    details, counters = _DETAILS.split(), _COUNTERS.split()
+    for key, value in summary.items():
+        group = value if isinstance(value, dict) else {}
+        idle = not (any(group.values()) or (value and not group))
+        good = (key == "plant" and group.get("success")) or (key == "real_time" and not group["missing"])
+        if key in details or good or (key in counters and idle):
+            continue
+        kept[key] = brief(value) if group and key not in {"replay", "pushes"} else value
+    return kept
+
+
+def headline(title: str, summary: dict[str, Any]) -> str:
+    """First line of a summary; for a run that tracked a reference a sentence with its quality."""
+    if not summary["success"]:
+        return f"{title}: failed"
+    tracking = summary.get("tracking")
+    if not (tracking and tracking["ticks"]):
+        return f"{title}: success"
+    limited = sum(summary["limited_ticks"].values())
+    late, lost = summary["stale_ticks"], summary["dropped_ticks"]
+    parts = (
+        f"tracked {tracking['ticks'] / summary['rate_Hz']:.3g} s",
+        f"peak leg error {number(tracking['peak_leg_error_mm'])} mm",
+        f"force limited in {limited} ticks" if limited else "no force limited",
+        f"late feedback in {late} ticks" if late else "",
+        f"{lost} ticks not recorded" if lost else "",
+        "replay exact" if summary.get("replay", {}).get("different_ticks") == 0 else "",
+    )
+    return f"Good: {', '.join(filter(None, parts))}"
+
+
+def show(title: str, summary: dict[str, Any], *, whole: bool = True) -> None:
+    """Print a summary: a headline, and one aligned line for each figure with its unit.
+
+    whole: False leaves out the details of a run, see `brief`.
+    """
+    line = headline(title, summary)
+    for part in fold(line, _width()):
+        click.secho(part, fg="green" if summary["success"] else "red", bold=True)
+    rows = figure_rows(summary if whole else brief(summary))
     column = max((len(label) for label, _ in rows), default=0) + 2
     for label, value in rows:
         first, *rest = fold(value, _width() - column)

@@ -114,7 +114,8 @@ def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = N
     if summary.get("story"):
         for line in summary["story"]["lines"]:
             click.echo(visible(f"  {line}"), err=True)
-    show(title, summary if shown is None else shown)
+    whole = click.get_current_context().params["verbose"]
+    show(title, summary if shown is None else shown, whole=whole)
     if summary.get("kind") in _REPORTED and summary.get("log") and summary.get("ticks"):
         click.echo(f"next: hil report {shlex.quote(summary['log'])}")
     _end(summary, unwritten)
@@ -155,11 +156,13 @@ def _end(summary: dict[str, Any], unwritten: list[str]) -> NoReturn:
 def reporting(command: Callable[..., None]) -> Callable[..., None]:
     """Decorate a command: add the option --json, and check its output files before it begins."""
 
+    @flag("-v --verbose", "Print all figures.")
     @option("--json json_file", OUTPUT, "FILE", "Also write the summary as JSON.")
     @wraps(command)
     def reporting(*args: Any, **kwargs: Any) -> None:
         _show_compilation()
         _refuse_same_files(kwargs)
+        kwargs.pop("verbose")
         if (json_file := kwargs.pop("json_file")) is not None:
             from hil.app.output import check_json_path
 

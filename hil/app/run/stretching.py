@@ -53,8 +53,8 @@ def stretches(stood_ns: Ints) -> dict[str, Any]:
     note = f"with real drives this machine would have ended the run: {harmful} of them are 4 ms or more"
     return {
         "stretches": len(counted_ns),
-        "stood_still_ms": round(1e-6 * float(stood_ns.sum()), 1),
-        "longest_ms": round(1e-6 * float(stood_ns.max(initial=0)), 1),
+        "stood_still_ms": round(1e-6 * float(counted_ns.sum()), 1),
+        "longest_ms": round(1e-6 * float(counted_ns.max(initial=0)), 1),
         "note": note if harmful else None,
     }
 

@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.app.configuration.text_file import shipped
+from hil.app.output import brief, headline
 from hil.cli import main
 from tests.hil.app.texts import edited
 
@@ -86,7 +87,7 @@ def test_help_imports_nothing_heavy():
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sim")
-    result = hil("sim", "--duration", 1.2, "--log", folder / "run.mcap", "--json", folder / "run.json")
+    result = hil("sim", "--duration", 1.5, "--log", folder / "run.mcap", "--json", folder / "run.json")
     return result, folder
 
 
@@ -98,8 +99,34 @@ def test_simulation_that_parks_exits_with_0(simulated):
     assert summary["final_mode"] == "PARKED"
     assert summary["log"] == str(folder / "run.mcap")
     assert summary["replay"]["exact"] is True
-    assert result.stdout.splitlines()[0] == "sim: success"
+    tracking = summary["tracking"]
+    assert result.stdout.splitlines()[0] == (
+        f"Good: tracked {tracking['ticks'] / 1000:.3g} s, peak leg error "
+        f"{tracking['peak_leg_error_mm']:.3g} mm, no force limited, replay exact"
+    )
+    assert len(result.stdout.splitlines()) <= 20
+    for detail in ("skipped", "faults", "wall", "certificate", "plant"):
+        assert detail not in result.stdout
     assert re.search(rf"^replay +{summary['ticks']} ticks, 0 differences$", result.stdout, re.MULTILINE)
+
+
+def test_sim_with_verbose_prints_every_figure(tmp_path):
+    result = hil("sim", "ideal", "--duration", 1.2, "--log", tmp_path / "a.mcap", "-v")
+    for figure in ("wall", "skipped ticks", "faults", "peak V", "real time factor", "final mode"):
+        assert re.search(rf"^ *{figure}  ", result.stdout, re.MULTILINE), figure
+
+
+def test_headline_and_figures_of_a_run_show_limited_forces_late_feedback_and_losses(simulated):
+    summary = json.loads((simulated[1] / "run.json").read_text())
+    worse = summary | {"stale_ticks": 7, "dropped_ticks": 3, "rejected_frames": 4, "missing": ["SCHED_FIFO"]}
+    worse["limited_ticks"] = {"FORCE_LIMIT": 0, "FORCE_STEP": 5}
+    line = headline("sim", worse)
+    assert "force limited in 5 ticks, late feedback in 7 ticks, 3 ticks not recorded" in line
+    shown = brief(worse)
+    assert {"stale_ticks", "dropped_ticks", "rejected_frames", "limited_ticks", "missing"} <= shown.keys()
+    assert not {"stale_ticks", "dropped_ticks", "rejected_frames"} & brief(summary).keys()
+    failed = summary | {"plant": {"success": False, "trouble": "the FMU failed"}}
+    assert brief(failed)["plant"] == failed["plant"]
 
 
 def test_replay_exits_with_0_and_does_not_change_the_log(simulated, tmp_path):

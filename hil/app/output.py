@@ -6,7 +6,6 @@ import json
 import math
 import os
 import shutil
-import textwrap
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -264,8 +263,17 @@ def _width() -> int:
 
 
 def fold(text: str, width: int) -> list[str]:
-    """Break a text into lines of `width` characters between words; a path stays in one piece."""
-    return textwrap.wrap(text, max(width, 20), break_long_words=False, break_on_hyphens=False) or [""]
+    """Break a text into lines of `width` characters, after a phrase if possible; a path stays whole."""
+    lines, width = [], max(width, 20)
+    while len(text) > width:
+        phrase = max(text.rfind(end, 0, width) + 1 for end in ("; ", ", ", ": ", " ("))
+        word = text.rfind(" ", 0, width + 1)
+        cut = phrase if 2 * phrase > width else word if word > 0 else text.find(" ")
+        if cut < 0:
+            break
+        lines.append(text[:cut].rstrip())
+        text = text[cut:].lstrip()
+    return [*lines, text]
 
 
 def figure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:

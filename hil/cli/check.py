@@ -34,4 +34,5 @@ def command(configuration: str) -> None:
         problems = list(getattr(error, "problems", [str(error)]))
         write_twin({"success": False, "kind": "check", "problems": problems})
         raise
-    finish_lines(report.lines, {"success": True, "kind": "check", **report.to_dict()})
+    whole = click.get_current_context().params["verbose"]
+    finish_lines(report.text(whole=whole), {"success": True, "kind": "check", **report.to_dict()})

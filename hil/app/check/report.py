@@ -10,6 +10,8 @@ from typing import Any
 
 from hil.app.check.subject import Subject
 
+DETAILS = ("encoders", "operating", "motor to leg", "real time")
+"""Beginnings of the titles of sections that only `hil check -v` prints."""
 SCALES = {"milli": 1e3, "micro": 1e6, "percent": 1e2}
 
 
@@ -54,10 +56,18 @@ class Report:
     @property
     def lines(self) -> list[str]:
         """The whole report as text lines."""
-        text = [f"configuration {self.s.c.name}"]
+        return self.text(whole=True)
+
+    def text(self, *, whole: bool) -> list[str]:
+        """Report as text lines: number of warnings, warnings, figures; whole: with the sections DETAILS."""
+        count = len(self.warnings)
+        text = [f"{self.s.c.name}: valid, {count or 'no'} warning{'s' * (count != 1)}"]
+        text += [f"  warning: {w}" for w in self.warnings]
+        hidden = [] if whole else [title for title in self.sections if title.startswith(DETAILS)]
         for title, lines in self.sections.items():
-            text += [title, *(f"  {line}" for line in lines)]
-        return text + [f"warning: {w}" for w in self.warnings]
+            if title not in hidden:
+                text += [title, *(f"  {line}" for line in lines)]
+        return text + ([f"further figures, with -v: {'; '.join(hidden)}"] if hidden else [])
 
     def to_dict(self) -> dict[str, Any]:
         """The report as plain values, for `--json`."""

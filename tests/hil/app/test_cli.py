@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.app.configuration.text_file import shipped
-from hil.app.output import brief, headline
+from hil.app.output import brief, fold, headline
 from hil.cli import main
 from tests.hil.app.texts import edited
 
@@ -173,6 +173,30 @@ def test_check_prints_figures_and_exits_with_0(tmp_path):
     summary = json.loads((tmp_path / "check.json").read_text())
     assert summary["success"] is True
     assert summary["figures"]["bus"]["total_us"] == pytest.approx(568.2)
+
+
+@pytest.mark.parametrize("name", ["virtual", "lab", "desktop"])
+def test_check_begins_with_its_warnings_and_prints_at_most_40_lines_of_figures(name):
+    shown, whole = hil("check", name).stdout.splitlines(), hil("check", name, "-v").stdout.splitlines()
+    count = sum(line.startswith("  warning: ") for line in shown)
+    assert shown[0] == f"{name}: valid, {count or 'no'} warning{'s' * (count != 1)}"
+    figures = shown.index("robot at home")
+    assert all("warning: " not in line for line in shown[figures:])
+    assert sum(line.startswith("  ") and line[6] != " " for line in shown[figures:]) <= 40
+    further = " ".join(line.strip() for line in shown).partition("further figures, with -v: ")[2]
+    assert all(title in whole for title in further.split("; ")), further
+
+
+def test_fold_breaks_lines_after_phrases_and_keeps_long_paths_whole():
+    text = "leg lengths 1.5925 1.5925 m (stroke 0.75 to 2.2); next, and " + "/a/long/path" * 4
+    assert fold(text, 40) == [
+        "leg lengths 1.5925 1.5925 m",
+        "(stroke 0.75 to 2.2); next,",
+        "and",
+        "/a/long/path" * 4,
+    ]
+    assert fold("short", 40) == ["short"]
+    assert "".join(fold("word " * 50, 33)).replace(" ", "") == "word" * 50
 
 
 def test_check_reports_all_problems_and_exits_with_2(tmp_path):

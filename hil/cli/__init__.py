@@ -89,6 +89,19 @@ class _Table(click.Group):
         assert isinstance(command, click.Command)
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command of the arguments; propose the nearest name for an unknown one."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            from difflib import get_close_matches
+
+            if near := get_close_matches(args[0], self.list_commands(ctx), 1):
+                error.message += f" Did you mean {near[0]!r}?"
+            raise
+
     def invoke(self, ctx: click.Context) -> Any:
         """Call the command; Ctrl-C and errors that a user can fix end it with one line."""
         from hil.cli.shared import one_line_of_error

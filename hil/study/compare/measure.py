@@ -197,7 +197,8 @@ def _at_rest(
     }
     if d is not None and len(loaded):
         figures["disturbed_peak_leg_error_mm"] = float(peak(_errors_mm(loaded)).max())
-        figures["disturbed_steady_leg_error_mm"] = _steady_mm(loaded)
+        if not fault:  # a fault ends the run before the platform is at rest under the load
+            figures["disturbed_steady_leg_error_mm"] = _steady_mm(loaded)
     return figures, {"step_t": t, "step": (y - initial) / size}, fault
 
 

@@ -175,6 +175,13 @@ def test_check_prints_figures_and_exits_with_0(tmp_path):
     assert summary["figures"]["bus"]["total_us"] == pytest.approx(568.2)
 
 
+def test_misspelt_command_is_refused_with_the_nearest_name():
+    result = hil("chekc")
+    assert result.exit_code == 2
+    assert "No such command 'chekc'. Did you mean 'check'?" in result.stderr
+    assert "Did you mean" not in hil("qqqq").stderr
+
+
 @pytest.mark.parametrize("name", ["virtual", "lab", "desktop"])
 def test_check_begins_with_its_warnings_and_prints_at_most_40_lines_of_figures(name):
     shown, whole = hil("check", name).stdout.splitlines(), hil("check", name, "-v").stdout.splitlines()

@@ -274,6 +274,13 @@ def test_an_unknown_load_deflects_the_platform_against_the_loops_stiffness(ideal
     assert found["steady_leg_error_mm"] < 1e-6
 
 
+def test_no_error_at_rest_is_given_for_a_load_under_which_the_run_ends_in_a_fault(virtual):
+    load = DisturbanceSettings(force_N=(0, 0, -9000), start_s=0.05)
+    found = measure(job(virtual, disturbance=load, step=StepSettings(), settle_s=0.6)).figures
+    assert found["disturbed_peak_leg_error_mm"] > 9.0
+    assert "disturbed_steady_leg_error_mm" not in found
+
+
 def test_a_law_that_faults_keeps_its_figures_until_the_fault(virtual):
     o = measure(job(virtual, "pd", duration_s=2.0))
     assert o.fault == "FOLLOWING"

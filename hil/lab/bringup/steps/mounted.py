@@ -1,6 +1,7 @@
 """Bring-up step that checks the mounting: leg lengths while the platform hangs at known poses."""
 
 from collections.abc import Iterator
+from math import inf
 
 import numpy as np
 
@@ -75,7 +76,7 @@ def judge(c: Context) -> Iterator[Finding]:
         return
     at_joints = np.abs(tape - m.pose_lengths).max(axis=0) <= FIT_M
     for leg in np.flatnonzero(at_joints).tolist():
-        if finding := _misread(leg, q, tape):
+        if finding := misread(leg, q, tape):
             yield finding
             wrong = [each for each in wrong if each != leg]
     tilted = "See that the platform hangs at the known poses, not tilted. " * (len(wrong) > 1)
@@ -90,10 +91,12 @@ def judge(c: Context) -> Iterator[Finding]:
         yield Finding(name, (leg,), text, remedy)
 
 
-def _misread(leg: int, q: Array, tape: Array) -> Finding | None:
+def misread(leg: int, q: Array, tape: Array) -> Finding | None:
     """Finding about a leg at its joints that does not read its length by tape, or None; both (poses, 6) m."""
     (moved, reads), off_m = ((x[-1, leg] - x[0, leg]) for x in (tape, q)), (q - tape)[:, leg].mean()
-    within, scale = tolerance(abs(moved)), reads / moved
+    within, scale = inf, 1.0
+    if abs(moved) > SIGMAS * TAPE_M:  # else the poses show no scale
+        within, scale = tolerance(abs(moved)), reads / moved
     if abs(scale - 1.0) <= within:
         if abs(off_m) <= max(ZERO_M, SIGMAS * TAPE_M):
             return None

@@ -45,6 +45,10 @@ _SLOTS = {
     "tracker": (TRACKER,), "imu": (IMU,), "wrench": (WRENCH,), "inclination": (INCLINATION,),
     "lengths": tuple(range(LENGTH, LENGTH + LEGS)), "forces": tuple(range(FORCE, FORCE + LEGS)),
 }  # fmt: skip
+SIGMAS = 3.0
+"""Standard deviations by which the mean of a sensor may differ from the legs."""
+SILENT_SAMPLES = 5
+"""A sensor is silent after this number of missing samples in a row."""
 PATIENCE_S = 0.5
 """A device that has sent no sample for so long is started again while the drives are off."""
 _START_EVERY_S = 0.02
@@ -60,6 +64,9 @@ class Sensor(NamedTuple):
     bus: int
     rate_Hz: float
     device: Device
+    std: tuple[float, ...]
+    """Standard deviations (6,) by which its quantities may differ from the legs."""
+    time_std_s: float
 
     def on_bus(self, frames: Iterable[Frame]) -> tuple[Frame, ...]:
         """Frames on its bus."""
@@ -258,7 +265,8 @@ def _sensors(role: str, settings: SensorRole, bus: BusSettings, folder: Path) ->
                 "bus.channels without legs and with layout: fd), or a device with classic frames "
                 "(device.protocol ati, cia404, cia406, dbc)"
             )
-        yield Sensor(role, slot, index, settings.rate_Hz, device)
+        std, time_std_s = settings.std, 1e-3 * settings.time_std_ms
+        yield Sensor(role, slot, index, settings.rate_Hz, device, std, time_std_s)
 
 
 def _tables(sensors: Iterable[Sensor]) -> Tables:
@@ -267,6 +275,8 @@ def _tables(sensors: Iterable[Sensor]) -> Tables:
         device, of = each.device, found.slots[each.slot : each.slot + 1]
         of["present"], of["parts"], of["timing"] = 1, (1 << len(device.messages)) - 1, device.timing
         of["latency_s"], of["gap_ns"], of["raw"] = device.latency_s, round(0.5e9 / each.rate_Hz), np.nan
+        of["limit"], of["time_s"] = SIGMAS * np.array(each.std), SIGMAS * each.time_std_s
+        of["patience_s"] = np.inf if device.changes else SILENT_SAMPLES / each.rate_Hz + device.latency_s
         if device.mix is not None:
             of["mixes"], of["mix"] = 1, device.mix
         rows += [_row(each, part, message) for part, message in enumerate(device.messages)]

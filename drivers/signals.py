@@ -176,6 +176,10 @@ class Doubt(IntEnum):
     """The rate of this leg alone changed by more than forces and disturbance explain."""
     STILL = 4
     """The reading is constant although the leg must move, and stayed so under a probe force."""
+    SECOND = 5
+    """The second encoder of the leg contradicts it; closed brake or tracker show that it is wrong."""
+    EITHER = 6
+    """The two encoders of the leg contradict each other, and nothing shows which of them is wrong."""
 
 
 class Foreign(IntFlag):

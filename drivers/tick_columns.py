@@ -99,6 +99,11 @@ POSE = (*XYZ, "rx", "ry", "rz")
 MOTION = ("wx", "wy", "wz", "fx", "fy", "fz")
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+SENSORS = (
+    "tracker", "imu", "wrench", "inclination",
+    *(f"length_{leg}" for leg in range(LEGS)), *(f"force_{leg}" for leg in range(LEGS)),
+)  # fmt: skip
+"""Sensors next to the drives, in the order of `drivers.sensing.layout`."""
 MATRIX = tuple(row + column for row in XYZ for column in XYZ)
 
 
@@ -194,11 +199,12 @@ RECORDED = (
     _("sensed", "length_sensor_age", float, "s", _AGE, *PER_LEG),
     _("sensed", "force_sensor", float, "N", "last leg force by its load cell, > 0 extends", *PER_LEG),
     _("sensed", "force_sensor_age", float, "s", _AGE, *PER_LEG),
+    _("estimate", "sensor_share", float, "1", "sensor less legs, share of its limit; inf: silent", *SENSORS),
 )
 """Columns of the log, in its order."""
 SENSED = tuple(each for each in RECORDED if each.part == "sensed")
 """Last values of the sensors next to the drives, and their ages."""
-LATER = RECORDED[-len(SENSED) - 1 : -len(SENSED)], SENSED
+LATER = RECORDED[-len(SENSED) - 2 : -len(SENSED) - 1], SENSED, RECORDED[-1:]
 """Columns that older logs lack, by the version that added them: nan there, and not compared by a replay."""
 WORKING = (
     _("measurement", "length", float, "m", "leg length that the drive last reported", *PER_LEG),
@@ -206,6 +212,9 @@ WORKING = (
     _("input", "sensors_rejected", int, "", "number of refused frames of sensors"),
     _("measurement", "blind", int, "", "1: feedback of this tick has an invalid length", *PER_LEG),
     Column("estimate", "J", float, "m, 1", "dq = J twist", tuple(map(str, range(LEGS**2))), (LEGS, LEGS)),
+    _("estimate", "length_gap", float, "m", "mean of second encoder less drive's; nan: none", *PER_LEG),
+    _("estimate", "length_gap_now", float, "m", "the same of this tick's sample; nan: none", *PER_LEG),
+    _("estimate", "tracker_gap", float, "m, rad", "mean of the tracker's pose less that of the legs", *POSE),
     _("estimate", "hop", float, "1", ">= 1: the pose may be of another assembly mode"),
     _("measurement", "counted_age", int, "ticks", "age for safety, 0 where a leg may be lost", *PER_LEG),
     _("fusion", "unseen", int, "", "1 if the length of a leg is an estimate"),
@@ -235,6 +244,8 @@ FIRST: Record = np.ndarray((), TICK, np.zeros(TICK.itemsize // 8))
 empty."""
 FIRST["tick"], FIRST["age"] = -1, NEVER
 for _unfilled in ("t_d", "encoder_share", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
+    FIRST[_unfilled] = np.nan
+for _unfilled in ("sensor_share", "length_gap", "length_gap_now", "tracker_gap"):
     FIRST[_unfilled] = np.nan
 for _sensed in SENSED:
     FIRST[_sensed.name] = np.inf if _sensed.name.endswith("_age") else np.nan

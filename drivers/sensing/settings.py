@@ -1,6 +1,7 @@
 """Configuration section `sensors`."""
 
-from typing import TYPE_CHECKING, Annotated, Union
+from math import inf, radians
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import Field, field_validator
 
@@ -14,6 +15,9 @@ Node = Annotated[int, Field(ge=1, le=127)]
 SENSORS = sections("hil.sensors", SensorFamily, "protocol")  # type: ignore[type-abstract]
 """`device.protocol` of a sensor -> its section."""
 
+GYRO_BIAS_STD_rad_s = 0.05
+"""Standard deviation of the unknown bias of a gyroscope."""
+
 if TYPE_CHECKING:
     AnySensor = SensorFamily
 else:
@@ -25,6 +29,8 @@ class SensorRole(Section):
 
     rate_Hz: Above0
     """Samples per second."""
+    time_std_ms: Annotated[float, Field(ge=0)] = 0.1
+    """Standard deviation of the error of its samples' instants."""
     channel: Name | None = None
     """Its channel of `bus.channels`; default: the first."""
     device: AnySensor = StampedSensors()
@@ -34,6 +40,11 @@ class SensorRole(Section):
     def nodes(self) -> tuple[int, ...]:
         """Node number of each device."""
         return (self.node_id,) if hasattr(self, "node_id") else tuple(getattr(self, "node_ids", ()))
+
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Standard deviations, SI, by which its quantities may differ from the legs; inf: not compared."""
+        return (inf,) * 6
 
 
 class TrackerSettings(SensorRole):
@@ -49,6 +60,11 @@ class TrackerSettings(SensorRole):
     latency_max_ms: Above0 = 20.0
     """Largest age of a sample; an older one is refused. Each millisecond costs the filter memory and time."""
 
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Of position and orientation."""
+        return (self.position_std_m,) * 3 + (radians(self.orientation_std_deg),) * 3
+
 
 class ImuSettings(SensorRole):
     """An inertial measurement unit on the platform, its values reduced to the platform origin."""
@@ -58,6 +74,11 @@ class ImuSettings(SensorRole):
     """Samples per second, at most one per tick."""
     angular_rate_std_rad_s: Above0 = 2e-3
     specific_force_std_m_s2: Above0 = 0.05
+
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Of the angular rate, with an unknown bias."""
+        return (self.angular_rate_std_rad_s + GYRO_BIAS_STD_rad_s,) * 3 + (inf,) * 3
 
 
 class WrenchSensorSettings(SensorRole):
@@ -74,8 +95,15 @@ class InclinationSettings(SensorRole):
     node_id: Node = 10
     rate_Hz: Above0 = 100.0
     """Samples per second."""
+    std_deg: Above0 = 0.1
+    """Standard deviation of the error of each angle, that of the mounting included."""
     device: AnySensor
     """The device, by the family that reads its frames: its own keys, and `protocol`."""
+
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Of the vertical about the platform's axes."""
+        return (radians(self.std_deg),) * 3 + (inf,) * 3
 
 
 class LegSensorSettings(SensorRole):
@@ -95,6 +123,34 @@ class LegSensorSettings(SensorRole):
         return ids
 
 
+class LengthSensorSettings(LegSensorSettings):
+    """A second encoder on each leg."""
+
+    std_m: Above0 = 1e-4
+    """Standard deviation of its error, zero and scale included. Three of these are its limit."""
+    on_contradiction: Literal["stop", "warn"] = "stop"
+    """Reaction if it contradicts the drive's encoder, and is not itself the wrong one: fault ENCODER, or only
+    a warning."""
+
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Of a leg's length."""
+        return (self.std_m, *(inf,) * 5)
+
+
+class ForceSensorSettings(LegSensorSettings):
+    """A load cell on each leg."""
+
+    std_N: Above0 | None = None
+    """Standard deviation of its difference from the force that the drive reports, friction included; without
+    one they are not compared."""
+
+    @property
+    def std(self) -> tuple[float, ...]:
+        """Of a leg's force."""
+        return (inf if self.std_N is None else self.std_N, *(inf,) * 5)
+
+
 class SensorSettings(Section):
     """Sensors next to the drives; an omitted one does not exist."""
 
@@ -102,7 +158,7 @@ class SensorSettings(Section):
     imu: ImuSettings | None = None
     wrench: WrenchSensorSettings | None = None
     inclination: InclinationSettings | None = None
-    lengths: LegSensorSettings | None = None
+    lengths: LengthSensorSettings | None = None
     """Second encoders: a length a leg."""
-    forces: LegSensorSettings | None = None
+    forces: ForceSensorSettings | None = None
     """Load cells: a force a leg."""

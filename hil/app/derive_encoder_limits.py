@@ -1,22 +1,26 @@
 """Derives the limits of the encoder checks, and leg errors for sensor fusion, from a configuration."""
 
-from math import ceil, hypot, inf, sqrt
-from typing import NamedTuple
+from math import ceil, hypot, inf, radians, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers import build_protocol
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
+from drivers.sensors import SIGMAS
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import build_platform
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
 from hil.estimation.fusion_layout import LegErrors
+from hil.estimation.sensor_check import SAMPLES
 from hil.safety.encoder_limits import UNASKED, UNSHARED, EncoderLimits
 from hil.safety.encoder_rules import RATE_MOVES
 from hil.safety.residuals import MOVED
+from hil.safety.second_encoders import STOPS, WARNS
 from plant_fmu.config import BenchPlant, StewartPlant
 
 LENGTH_STEP_M = 1e-7
@@ -39,6 +43,9 @@ REACHES_BACK = 2
 """Periods between a rate computed as a difference of lengths and the first length that it uses."""
 NOISE = sqrt(12.0)
 """Ratio of largest to standard deviation: of a quantisation step, or 3 to 4 sigma of white noise."""
+UNDECIDED_S, SETTLED = 0.1, 3.0
+"""Time, s, until a contradiction of two encoders counts; with a tracker the number of its samples for that,
+in those of its mean."""
 UNKNOWN = sqrt(3.0)
 """Ratio of largest to standard deviation of a constant, uniform within +- its bound."""
 
@@ -98,7 +105,28 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         driving=driving,
         back_driving=back_driving,
         mobility_low=low,
+        **_second(c, rate_Hz),
     )
+
+
+def _second(c: Configuration, rate_Hz: float) -> dict[str, Any]:
+    """Limits of the rules on second encoders."""
+    lengths, tracker = c.sensors.lengths, c.sensors.tracker
+    if lengths is None:
+        return {}
+    found: dict[str, Any] = {
+        "second": STOPS if lengths.on_contradiction == "stop" else WARNS,
+        "second_m": SIGMAS * lengths.std_m,
+        "second_late_s": SIGMAS * 1e-3 * lengths.time_std_ms,
+        "second_s": 1.0 / lengths.rate_Hz,
+        "second_ticks": ceil(UNDECIDED_S * rate_Hz),
+    }
+    if tracker is not None:
+        radius = build_platform(c.platform).radius
+        std_m = hypot(tracker.position_std_m, radius * radians(tracker.orientation_std_deg))
+        found["tracker_ticks"] = ceil(SETTLED * SAMPLES / tracker.rate_Hz * rate_Hz)
+        found["tracker_std_m"] = std_m / sqrt(2.0 * SAMPLES - 1.0)
+    return found
 
 
 def _ticks(number: float) -> int:

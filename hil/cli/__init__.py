@@ -99,7 +99,7 @@ class _Table(click.Group):
             from difflib import get_close_matches
 
             if near := get_close_matches(args[0], self.list_commands(ctx), 1):
-                error.message += f" Did you mean {near[0]!r}?"
+                raise click.UsageError(f"{error.message} Did you mean {near[0]!r}?", ctx) from None
             raise
 
     def invoke(self, ctx: click.Context) -> Any:

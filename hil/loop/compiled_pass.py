@@ -31,7 +31,7 @@ CONTROL = np.dtype(
     [
         # functions, each with the address of what it works on; a stage that is not there is 0
         ("decode", "<i8"), ("decoder", "<i8"), ("command", "<i8"), ("codec", "<i8"),
-        ("hear", "<i8"), ("sensors", "<i8"), ("fuse", "<i8"), ("filter", "<i8"),
+        ("hear", "<i8"), ("sensors", "<i8"), ("compare", "<i8"), ("fuse", "<i8"), ("filter", "<i8"),
         ("load", "<i8"), ("loads", "<i8"), ("last_load", "<i8"),  # the last one: address of the wrench, (6,)
         ("steer", "<i8"), ("live", "<i8"), ("judge", "<i8"), ("admission", "<i8"),  # of a live reference
         ("learn", "<i8"), ("learner", "<i8"), ("predict", "<i8"), ("predictor", "<i8"),
@@ -136,9 +136,11 @@ def fuse(c: Any, tick: Any, last: Any) -> None:
 
 @helper
 def load(c: Any) -> None:
-    """Fill in the tick's external wrench, from sensor or observer."""
+    """Fill in the tick's external wrench, from sensor or observer, and compare the sensors with the legs."""
     if c.load:
         c.sensor_late = _WARN_SENSOR if call(c.load, (c.loads, c.fusing, c.tick)) > 0 else 0
+    if c.compare:
+        c.sensor_late |= call(c.compare, (c.loads, c.sensors, c.mode, c.tick))
 
 
 @helper

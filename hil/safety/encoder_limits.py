@@ -7,6 +7,7 @@ import numpy as np
 
 from drivers.arrays import ZERO6, Array
 from drivers.signals import LEGS
+from hil.safety.second_encoders import SECOND_MEMORY
 
 ONE6 = np.ones(LEGS)
 UNSHARED = 0.3
@@ -60,6 +61,19 @@ class EncoderLimits(NamedTuple):
     mobility_low: Array = ZERO6
     """(6,) 1/kg, smallest acceleration of each leg per force on itself, including the mass that moves along
     the leg."""
+    second: int = 0
+    """Reaction to second encoders that contradict the drives', see `hil.safety.second_encoders`."""
+    second_m: float = 0.0
+    """Difference of two encoders at rest that does not count, m; in motion plus rate x `second_late_s`."""
+    second_late_s: float = 0.0
+    second_s: float = 0.0
+    """Time between two samples of a second encoder, s."""
+    second_ticks: int = 0
+    """Ticks until an undecided contradiction counts."""
+    tracker_ticks: int = 0
+    """Ticks until the mean of the tracker has followed a change."""
+    tracker_std_m: float = 0.0
+    """Standard deviation of that mean along a leg, m."""
 
 
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 1, 0, 0.0)
@@ -102,5 +116,6 @@ ENCODER_MEMORY = [
     ("impulse", "<f8", (LEGS,)),  # N s, of what acted beyond the load meanwhile
     ("rate_then", "<f8", (LEGS,)),  # m/s, rates less those of the reference, before
     ("unsettled_s", "<f8", (LEGS,)),  # until a leg that was pushed follows its reference again
+    *SECOND_MEMORY,
 ]
 """Fields of the encoder rules' memory."""

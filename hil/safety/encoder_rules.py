@@ -9,6 +9,7 @@ from drivers.arrays import Array
 from drivers.compiled.compiler import helper
 from drivers.signals import Doubt, Fault, Mode
 from hil.safety import residuals
+from hil.safety.second_encoders import NONE, STOPS, judge_second
 
 LONGEST_GAP = 8
 """Longest gap, in ticks, over which a leg's last reading is compared with the next."""
@@ -274,7 +275,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
     """
     tick.legs_doubted, tick.doubt, tick.doubt_value, tick.doubt_limit = 0, Doubt.NONE.value, 0.0, 0.0
     tick.encoder_share[:] = np.nan
-    if limits.watched_legs == 0:
+    if limits.watched_legs == 0 and limits.second == NONE:
         return 0
     memory.open_for = memory.open_for + 1 if is_open else 0
     settled = memory.open_for > limits.open_ticks
@@ -290,6 +291,11 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
         if settled:
             judge_rates(tick, limits, memory, x)
             judge_stillness(tick, limits, memory, x)
+        if limits.second != NONE:
+            legs, why, value, limit = judge_second(tick, limits, memory, x)
+            if legs and limits.second == STOPS:
+                memory.doubted, memory.doubt = legs, why
+                memory.doubt_value, memory.doubt_limit = value, limit
     if not settled or memory.doubted != 0:
         memory.stood[:] = memory.push[:] = 0
         memory.strays = 0

@@ -20,7 +20,7 @@ from drivers.protocol import Frame
 from drivers.sensing.family import SYNC_ID
 from drivers.sensing.layout import FREE, IMU, LENGTH, STAMPED, unheard
 from drivers.sensors import SensorProtocol
-from drivers.tick_columns import Record
+from drivers.tick_columns import SENSORS, Record
 from plant_fmu.config import DriveEmulation, SensorEmulation
 from plant_fmu.drives.drive_rules import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
@@ -79,6 +79,8 @@ class SensedNodes(Nodes):
         self._due_ns = {slot: t0_ns if slot in self._own_clock else NEVER_NS for slot in self._of}
         self._started = {slot: not each.device.start for slot, each in self._of.items()}
         self._last: dict[int, bytes] = {}
+        self._held: dict[tuple[int, int], Array] = {}
+        """(slot, start of a fault ns) -> the values then."""
         self._note_ns = NEVER_NS
         """When to store the velocity: one step of the plant before the IMU measures."""
         self._reception = unheard(self._sensors.tables)
@@ -182,10 +184,15 @@ class SensedNodes(Nodes):
         if node.outlier_percent and chance.random() < 0.01 * node.outlier_percent:
             n["drawn"] *= node.outlier_stds
         status = measure(n, slot, t_ns, grid_ns, *truth[:3])
-        lost = chance.random() < 0.01 * node.lost_percent
+        lost, late_ns = chance.random() < 0.01 * node.lost_percent, round(node.latency_ms * 1e6)
+        for fault, since_ns, own in self._present.sensors:
+            if fault.sensor != SENSORS[slot]:
+                continue
+            late_ns += round(1e6 * getattr(fault, "by_ms", 0.0))
+            held = self._held.setdefault((slot, since_ns), n["values"].copy())
+            lost |= not fault.alter(n["values"], 1e-9 * (t_ns - since_ns), held, own)
         if lost or self._present.hangs or status == SILENT or not self._started[slot]:
             return
-        late_ns = round(node.latency_ms * 1e6)
         late_ns += round(chance.random() * node.jitter_ms * 1e6) if node.jitter_ms else 0
         raw = n["values"].copy() if each.device.mix is None else np.linalg.solve(each.device.mix, n["values"])
         for row in self._rows[slot]:

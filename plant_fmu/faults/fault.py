@@ -62,6 +62,8 @@ class Present:
         """(6,) N, N m on the platform at its origin, base frame."""
         self.masses: list[tuple[float, Array]] = []
         """(mass kg, position (3,) m in the platform frame) of each extra mass."""
+        self.sensors: list[tuple[Any, int, np.random.Generator]] = []
+        """(fault, start ns, random numbers) of each fault of a sensor."""
         self.bus_off = 0
         """Bit i is set if bus i is off by a fault."""
         self.not_finite = self.hangs = self.crashes = False

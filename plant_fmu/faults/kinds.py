@@ -4,12 +4,14 @@ from operator import add, mul
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+from drivers.arrays import Array
 from drivers.config import MAX_BUSES
 from drivers.family import Family
 from drivers.protocol import BUS, Frame
 from drivers.signals import LEGS
+from drivers.tick_columns import SENSORS
 from plant_fmu.faults.fault import (
     Fault,
     FrameFault,
@@ -75,6 +77,86 @@ class EncoderSign(LegFault, kind="encoder_sign", effect=("scales", None, -1.0)):
 
 class EncoderLost(LegFault, kind="encoder_lost", effect=("lost", last, True)):
     """The drive detects that its encoder is lost: it reports this, and still executes commands."""
+
+
+def _known_sensor(name: str) -> str:
+    if name not in SENSORS:
+        raise ValueError(f"unknown sensor, allowed: {', '.join(SENSORS)}, given: {name}")
+    return name
+
+
+class SensorFault(LastingFault):
+    """A fault of one sensor next to the drives; second encoders and load cells are those of one leg."""
+
+    sensor: Annotated[str, AfterValidator(_known_sensor)]
+    """The sensor: `tracker`, `length_0` (second encoder of leg 0), ..."""
+    axis: Annotated[int, Field(ge=0, lt=6)] = 0
+    """Index of the quantity that is wrong, in the order of the sensor's column."""
+
+    def act(self, present: Present) -> None:
+        """Add this fault to those of the sensors."""
+        present.sensors.append((self, present.since_ns, present.generator))
+
+    def alter(self, _values: Array, _elapsed_s: float, _held: Array, _chance: np.random.Generator) -> bool:
+        """Change the measured values (6,), SI; held: those when the fault began. False: no sample."""
+        return True
+
+
+class SensorLost(SensorFault, kind="sensor_lost"):
+    """The sensor sends nothing."""
+
+    def alter(self, _values: Array, _elapsed_s: float, _held: Array, _chance: np.random.Generator) -> bool:
+        """No sample."""
+        return False
+
+
+class SensorLate(SensorFault, kind="sensor_late"):
+    """The sensor's frames are late by `by_ms`."""
+
+    by_ms: Annotated[float, Field(gt=0, le=1000)]
+
+
+class SensorFrozen(SensorFault, kind="sensor_frozen"):
+    """The sensor repeats the sample at the begin of the fault."""
+
+    def alter(self, values: Array, _elapsed_s: float, held: Array, _chance: np.random.Generator) -> bool:
+        """The held values."""
+        values[:] = held
+        return True
+
+
+class SensorOffset(SensorFault, kind="sensor_offset"):
+    """The sensor's quantity `axis` is off by a constant, `by`, SI units (angles of a tracker: rad)."""
+
+    by: float
+
+    def alter(self, values: Array, _elapsed_s: float, _held: Array, _chance: np.random.Generator) -> bool:
+        """Add the constant."""
+        values[self.axis] += self.by
+        return True
+
+
+class SensorDrift(SensorFault, kind="sensor_drift"):
+    """The sensor's quantity `axis` drifts by `by` SI units per second."""
+
+    by: float
+
+    def alter(self, values: Array, elapsed_s: float, _held: Array, _chance: np.random.Generator) -> bool:
+        """Add the drift."""
+        values[self.axis] += self.by * elapsed_s
+        return True
+
+
+class SensorOutlier(SensorFault, kind="sensor_outlier"):
+    """A share of the sensor's samples, `percent`, is off by `by` SI units in quantity `axis`."""
+
+    by: float
+    percent: Annotated[float, Field(gt=0, le=100)] = 1.0
+
+    def alter(self, values: Array, _elapsed_s: float, _held: Array, chance: np.random.Generator) -> bool:
+        """Add the error to some samples."""
+        values[self.axis] += self.by * (chance.random() < 0.01 * self.percent)
+        return True
 
 
 class DriveSilence(LegFault, kind="drive_silence", effect=("silent", last, True)):

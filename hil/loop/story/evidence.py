@@ -33,6 +33,10 @@ _DOUBTS = {
     Doubt.STILL: "leg {leg} stands still while it or another leg strays from its reference by {mm:.3f} mm "
     "(limit: {mm_limit:.3f} mm), and pushes beyond friction did not move it: its encoder is frozen, or its "
     "brake did not open or has closed",
+    Doubt.SECOND: "the second encoder of leg {leg} reads {mm:+.3f} mm more than the drive's (limit: "
+    "{mm_limit:.3f} mm), and closed brake or tracker agree with it: the drive's encoder is wrong",
+    Doubt.EITHER: "the second encoder of leg {leg} reads {mm:+.3f} mm more than the drive's (limit: "
+    "{mm_limit:.3f} mm): one of the two is wrong; neither brake nor tracker nor forces show which",
 }
 """Simplest causes for a contradiction between an encoder and its rate, the forces or the other legs."""
 Source = Callable[[Moment], Iterable[Evidence]]

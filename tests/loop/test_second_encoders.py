@@ -1,0 +1,160 @@
+"""A second encoder on each leg: the leg with a wrong encoder is found, and which of its two is wrong where it shows."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Rows
+from drivers.signals import Doubt, Fault, Mode, Warn
+from drivers.tick_columns import SENSORS
+from hil.app.configuration.configuration import Configuration
+from plant_fmu.faults import kinds
+from plant_fmu.faults.fault import Fault as PlantFault
+from tests.broad import broad
+from tests.loop.bench import changed, run
+from tests.loop.fusion_runs import SOON
+from tests.loop.test_sensor_families import ENCODERS
+
+BUS: dict[str, Any] = {
+    "channels": [{"channel": "hil0", "legs": [0, 1, 2, 3, 4, 5]}, {"channel": "sensors0", "layout": "fd"}],
+    "max_load_percent": 90,
+}
+TRACKER = {"rate_Hz": 200, "channel": "sensors0"}
+REST = {"type": "hold", "duration_s": 3.0}
+DRIVES, SECOND, EITHER, NOTHING = "drive's", "second", "one of two", "nothing"
+
+
+class Found(NamedTuple):
+    """What a run says about its encoders."""
+
+    which: str
+    """DRIVES, SECOND, EITHER or NOTHING."""
+    leg: int
+    fault_tick: int
+    rows: Rows
+    faults: Fault
+
+
+def bench(*, tracker: bool = False, **sections: Any) -> Configuration:
+    """`virtual` with a draw-wire encoder on each leg, and perhaps a tracker, on a second bus."""
+    sensors: dict[str, Any] = {"lengths": ENCODERS | {"channel": "sensors0"}}
+    if tracker:
+        sensors["tracker"] = TRACKER
+    return changed("virtual", **{"bus": BUS, "sensors": sensors} | SOON | sections)
+
+
+def found(c: Configuration, *faults: PlantFault) -> Found:
+    """Run to the end with faults."""
+    rows: list[Any] = []
+    ran = run(c, *faults, watch=lambda _lockstep, _inp, row: rows.append(row.copy()))
+    ticks = np.array(rows, rows[0].dtype)
+    doubted = np.flatnonzero(ticks["legs_doubted"])
+    wrong = int(ran.cycle.parts.safety.memory["second_wrong"])
+    if len(doubted):
+        first = ticks[doubted[0]]
+        which = EITHER if first["doubt"] == Doubt.EITHER else DRIVES
+        bits, at = int(first["legs_doubted"]), int(first["tick"])
+    else:
+        which, bits, at = (SECOND, wrong, -1) if wrong else (NOTHING, 1, -1)
+    assert bits.bit_count() == 1
+    return Found(which, bits.bit_length() - 1, at, ticks, ran.cycle.faults)
+
+
+def drives(leg: int, at_s: float) -> dict[str, PlantFault]:
+    """Faults of a drive's encoder by name."""
+    at: dict[str, Any] = {"leg": leg, "at_s": at_s, "mode": "TRACKING"}
+    return {
+        "jump": kinds.EncoderJump(**at, by_m=2e-3),
+        "freeze": kinds.EncoderFreeze(**at),
+        "drift": kinds.EncoderDrift(**at, by_m_s=5e-3),
+        "scale": kinds.EncoderScale(**at, factor=1.05),
+        "sign": kinds.EncoderSign(**at),
+        "late": kinds.EncoderLate(**at, by_ms=5.0),
+    }
+
+
+def seconds(leg: int, at_s: float) -> dict[str, PlantFault]:
+    """Faults of a second encoder by name."""
+    at: dict[str, Any] = {"sensor": f"length_{leg}", "at_s": at_s, "mode": "TRACKING"}
+    return {
+        "offset": kinds.SensorOffset(**at, by=2e-3),
+        "frozen": kinds.SensorFrozen(**at),
+        "second drift": kinds.SensorDrift(**at, by=5e-3),
+    }
+
+
+TOLD = {"jump": DRIVES, "freeze": DRIVES, "sign": DRIVES, "late": DRIVES, "offset": SECOND, "frozen": SECOND}
+"""Faults whose encoder shows without a tracker, in motion."""
+WITH_TRACKER = TOLD | {"drift": DRIVES, "scale": DRIVES, "second drift": SECOND}
+CASES = [
+    (fault, leg, tracker)
+    for fault in (*drives(0, 0.0), *seconds(0, 0.0))
+    for leg in range(6)
+    for tracker in (False, True)
+]
+
+
+@pytest.mark.parametrize(("fault", "leg", "tracker"), broad(CASES, quick=3))
+def test_fault_of_an_encoder_in_motion_names_its_leg_and_which_of_the_two_is_wrong(fault, leg, tracker):
+    struck = (drives(leg, 0.6) | seconds(leg, 0.6))[fault]
+    of = found(bench(tracker=tracker), struck)
+    assert of.which == (WITH_TRACKER if tracker else TOLD).get(fault, EITHER)
+    assert of.leg == leg
+    assert (Fault.ENCODER in of.faults) == (of.which != SECOND)
+
+
+AT_REST = [
+    *(("jump", DRIVES, tracker) for tracker in (False, True)),
+    *(("offset", SECOND, tracker) for tracker in (False, True)),
+    *(("drift", (EITHER, DRIVES)[tracker], tracker) for tracker in (False, True)),
+    *(("second drift", (EITHER, SECOND)[tracker], tracker) for tracker in (False, True)),
+    *((fault, NOTHING, False) for fault in ("freeze", "scale", "late", "frozen")),
+]
+
+
+@pytest.mark.parametrize(("fault", "which", "tracker"), broad(AT_REST, quick=1))
+def test_fault_of_an_encoder_at_rest_names_its_leg_or_leaves_nothing_to_see(fault, which, tracker):
+    struck = (drives(3, 0.6) | seconds(3, 0.6))[fault]
+    of = found(bench(tracker=tracker, reference=REST), struck)
+    assert of.which == which
+    if which != NOTHING:
+        assert of.leg == 3
+
+
+@pytest.mark.parametrize(
+    ("struck", "which"),
+    [
+        (kinds.EncoderDrift(leg=4, mode="LOADING", by_m_s=5e-3), DRIVES),
+        (kinds.SensorDrift(sensor="length_4", mode="LOADING", by=5e-3), SECOND),
+    ],
+)
+def test_on_closed_brakes_the_encoder_that_moves_alone_is_wrong(struck, which):
+    of = found(bench(engage={"force_ramp_s": 0.5, "brake_release_s": 0.02, "blend_s": 0.1}), struck)
+    assert (of.which, of.leg) == (which, 4)
+
+
+def test_drift_of_a_tenth_of_a_millimetre_per_second_is_found_within_5_s():
+    slow = bench(reference={"type": "hold", "duration_s": 6.0})
+    of = found(slow, kinds.EncoderDrift(leg=1, at_s=0.2, mode="TRACKING", by_m_s=1e-4))
+    assert (of.which, of.leg) == (EITHER, 1)
+    begin = int(of.rows["tick"][np.argmax(of.rows["mode"] == Mode.TRACKING)]) + 200
+    assert of.fault_tick - begin < 5000
+
+
+def test_run_goes_on_with_a_warning_where_so_configured():
+    lengths = ENCODERS | {"channel": "sensors0", "on_contradiction": "warn"}
+    of = found(bench(sensors={"lengths": lengths}), drives(0, 0.6)["scale"])
+    assert (of.faults, of.which) == (Fault.NONE, NOTHING)
+    apart = of.rows["sensor_share"][:, SENSORS.index("length_0")] > 1.0
+    assert apart.any()
+    assert np.all(of.rows["warnings"][apart] & Warn.SENSOR)
+
+
+def test_silent_second_encoder_is_a_warning_and_no_contradiction():
+    of = found(bench(), kinds.SensorLost(sensor="length_5", at_s=0.6, mode="TRACKING"))
+    assert (of.faults, of.which) == (Fault.NONE, NOTHING)
+    assert np.isinf(of.rows["sensor_share"][:, SENSORS.index("length_5")]).any()
+    assert (of.rows["warnings"] & Warn.SENSOR).any()

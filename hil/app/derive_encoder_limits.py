@@ -43,9 +43,8 @@ REACHES_BACK = 2
 """Periods between a rate computed as a difference of lengths and the first length that it uses."""
 NOISE = sqrt(12.0)
 """Ratio of largest to standard deviation: of a quantisation step, or 3 to 4 sigma of white noise."""
-UNDECIDED_S, SETTLED = 0.1, 3.0
-"""Time, s, until a contradiction of two encoders counts; with a tracker the number of its samples for that,
-in those of its mean."""
+UNDECIDED_S, BY_TRACKER_S = 0.1, 2.0
+"""Time, s, until a contradiction of two encoders counts; and if a tracker may show which one is wrong."""
 UNKNOWN = sqrt(3.0)
 """Ratio of largest to standard deviation of a constant, uniform within +- its bound."""
 
@@ -118,13 +117,13 @@ def _second(c: Configuration, rate_Hz: float) -> dict[str, Any]:
         "second": STOPS if lengths.on_contradiction == "stop" else WARNS,
         "second_m": SIGMAS * lengths.std_m,
         "second_late_s": SIGMAS * 1e-3 * lengths.time_std_ms,
-        "second_s": 1.0 / lengths.rate_Hz,
         "second_ticks": ceil(UNDECIDED_S * rate_Hz),
     }
     if tracker is not None:
         radius = build_platform(c.platform).radius
         std_m = hypot(tracker.position_std_m, radius * radians(tracker.orientation_std_deg))
-        found["tracker_ticks"] = ceil(SETTLED * SAMPLES / tracker.rate_Hz * rate_Hz)
+        found["tracker_s"] = SAMPLES / tracker.rate_Hz
+        found["tracker_ticks"] = ceil(BY_TRACKER_S * rate_Hz)
         found["tracker_std_m"] = std_m / sqrt(2.0 * SAMPLES - 1.0)
     return found
 

@@ -66,12 +66,12 @@ class EncoderLimits(NamedTuple):
     second_m: float = 0.0
     """Difference of two encoders at rest that does not count, m; in motion plus rate x `second_late_s`."""
     second_late_s: float = 0.0
-    second_s: float = 0.0
-    """Time between two samples of a second encoder, s."""
     second_ticks: int = 0
     """Ticks until an undecided contradiction counts."""
     tracker_ticks: int = 0
-    """Ticks until the mean of the tracker has followed a change."""
+    """Ticks until the tracker has to show which of two encoders is wrong."""
+    tracker_s: float = 1.0
+    """Time of the mean of the tracker's differences, s."""
     tracker_std_m: float = 0.0
     """Standard deviation of that mean along a leg, m."""
 

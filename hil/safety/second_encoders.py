@@ -6,7 +6,7 @@ changed on a closed brake, where the tracker agrees with the drive's, or where t
 more than an error of the drive's encoder could without violating those rules. Else it is one of two.
 """
 
-from math import isinf, isnan
+from math import isinf, isnan, nan
 from typing import Any
 
 from drivers.compiled.compiler import helper
@@ -19,14 +19,17 @@ QUIET = 0.5
 """Share of its limit below which a difference counts as none."""
 SURE = 4.0
 """Standard deviations of the tracker's mean that a decision by it needs."""
-FAST_S, SLOW_S = 0.01, 0.1
-"""Times of the two means whose difference shows how fast the encoders come apart."""
+FAST_S, SLOW_S, BASE_S = 0.01, 0.1, 1.0
+"""Times of the two means whose difference shows how fast the encoders come apart, and of the mean of the
+tracker's difference while they agree."""
 NONE, STOPS, WARNS = range(3)
 """`second` of the limits: no second encoders; fault, or only a warning, where they contradict the drive's."""
 SECOND_MEMORY = [
     ("followed", "<i8"),  # bit i: the difference of leg i is known
+    ("sampled", "<i8", (LEGS,)),  # tick of its last sample
     ("apart", "<i8", (LEGS,)),  # ticks since the two encoders contradict each other
     ("gap_was", "<f8", (LEGS,)), ("gap_fast", "<f8", (LEGS,)), ("gap_slow", "<f8", (LEGS,)),  # m
+    ("gap_like", "<f8", (LEGS,)),  # m, a mean over the same time as that of the tracker
     ("tracker_was", "<f8", (LEGS,)),  # m, tracker less drive's encoder while the two agreed
     ("rests", "<i8"), ("rest_length", "<f8", (LEGS,)), ("rest_gap", "<f8", (LEGS,)),  # as brakes closed, m
     ("suspect_tick", "<i8", (LEGS,)),  # last tick in which the second encoder alone counts as wrong
@@ -50,13 +53,15 @@ def _follow(tick: Any, limits: Any, memory: Any, leg: int, allowed: float, x: An
     gap, now = tick.length_gap[leg], tick.length_gap_now[leg]
     if memory.followed >> leg & 1 == 0:
         memory.followed |= 1 << leg
-        memory.gap_was[leg] = memory.gap_fast[leg] = memory.gap_slow[leg] = gap
+        memory.gap_was[leg] = memory.gap_fast[leg] = memory.gap_slow[leg] = memory.gap_like[leg] = gap
+        memory.tracker_was[leg], memory.sampled[leg] = nan, tick.tick
     if isnan(now):
         return
-    jump = abs(now - memory.gap_was[leg])
-    memory.gap_was[leg] = now
-    memory.gap_fast[leg] += (now - memory.gap_fast[leg]) * min(limits.second_s / FAST_S, 1.0)
-    memory.gap_slow[leg] += (now - memory.gap_slow[leg]) * min(limits.second_s / SLOW_S, 1.0)
+    jump, dt = abs(now - memory.gap_was[leg]), (tick.tick - memory.sampled[leg]) * limits.period_s
+    memory.gap_was[leg], memory.sampled[leg] = now, tick.tick
+    memory.gap_fast[leg] += (now - memory.gap_fast[leg]) * min(dt / FAST_S, 1.0)
+    memory.gap_slow[leg] += (now - memory.gap_slow[leg]) * min(dt / SLOW_S, 1.0)
+    memory.gap_like[leg] += (now - memory.gap_like[leg]) * min(dt / limits.tracker_s, 1.0)
     if x["leap_bound"][leg] > 0.0:
         late = allowed + limits.period_s * abs(tick.rate[leg])
         swift = abs(memory.gap_fast[leg] - memory.gap_slow[leg]) > late + SLOW_S * x["leap_bound"][leg]
@@ -79,17 +84,17 @@ def _on_brake(tick: Any, memory: Any, leg: int, allowed: float) -> int:
 @helper
 def _decided(tick: Any, limits: Any, memory: Any, leg: int) -> int:
     """Doubt.SECOND: the drive's encoder is wrong; -1: the second one; Doubt.EITHER; 0: not yet decided."""
-    gap, seen = tick.length_gap[leg], by_tracker(tick, leg) - memory.tracker_was[leg]
-    if memory.apart[leg] < (limits.second_ticks if isnan(seen) else limits.tracker_ticks):
+    if memory.apart[leg] < limits.second_ticks:
         return 0
+    gap, seen = memory.gap_like[leg], by_tracker(tick, leg) - memory.tracker_was[leg]
     if isnan(seen):
         return Doubt.EITHER.value
-    share, sure = seen / gap, SURE * limits.tracker_std_m / abs(gap)
-    if sure > 0.5:
-        return 0  # the tracker will show it if the difference grows
-    if share > 0.5 + sure:
+    least = SURE * limits.tracker_std_m
+    if abs(seen) - abs(seen - gap) > 2.0 * least:
         return Doubt.SECOND.value
-    return -1 if share < 0.5 - sure else Doubt.EITHER.value
+    if abs(seen - gap) - abs(seen) > 2.0 * least:
+        return -1
+    return Doubt.EITHER.value if memory.apart[leg] > limits.tracker_ticks else 0
 
 
 @helper
@@ -119,7 +124,8 @@ def judge_second(tick: Any, limits: Any, memory: Any, x: Any) -> tuple[int, int,
             memory.apart[leg] = 0
             seen = by_tracker(tick, leg)
             if share < QUIET and not isnan(seen):
-                memory.tracker_was[leg] = seen
+                was = seen if isnan(memory.tracker_was[leg]) else memory.tracker_was[leg]
+                memory.tracker_was[leg] = was + (seen - was) * limits.period_s / BASE_S
         if found < 0:
             memory.second_wrong |= 1 << leg
         if found > 0 and (memory.second_wrong | memory.doubted) >> leg & 1 == 0:

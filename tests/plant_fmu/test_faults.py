@@ -43,6 +43,10 @@ SIZES: dict[str, dict[str, Any]] = {
     "encoder_drift": {"by_m_s": 1e-3},
     "encoder_noise": {"sigma_m": 1e-3},
     "encoder_scale": {"factor": 1.01},
+    "sensor_late": {"by_ms": 2.0},
+    "sensor_offset": {"by": 1e-3},
+    "sensor_drift": {"by": 1e-3},
+    "sensor_outlier": {"by": 1e-3},
     "drive_gain": {"factor": 0.5},
     "drive_saturation": {"limit_N": 100.0},
     "brake_slow": {"by_ms": 50.0},
@@ -59,7 +63,7 @@ SIZES: dict[str, dict[str, Any]] = {
 
 def example(name: str, **more: Any) -> Fault:
     kind = FAULTS[name]
-    leg = {"leg": 5} if "leg" in kind.model_fields else {}
+    leg = {key: of for key, of in (("leg", 5), ("sensor", "length_5")) if key in kind.model_fields}
     return kind(**{"kind": name, **leg, **SIZES.get(name, {}), **more})
 
 
@@ -76,6 +80,8 @@ INVALID: dict[str, list[tuple[str, Any]]] = {
     "drive_reset": [("for_s", 1.0), ("at_s", nan), ("mode", "FAULT")],
     "encoder_jump": [("by_m", nan)],
     "encoder_late": [("by_ms", 0.0)],
+    "sensor_lost": [("sensor", "length_6"), ("sensor", "lengths"), ("axis", 6)],
+    "sensor_outlier": [("percent", 0.0), ("percent", 101.0), ("by", nan)],
     "drive_gain": [("factor", inf)],
     "brake_slipping": [("share", 1.1)],
     "wrench_step": [("force_N", (0.0, 0.0, nan))],

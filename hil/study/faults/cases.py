@@ -8,6 +8,7 @@ from zlib import crc32
 import numpy as np
 
 from drivers.errors import ConfigurationError
+from drivers.sensors import KINDS
 from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_rules import without_effect
@@ -16,7 +17,7 @@ from hil.app.configuration.platform import build_platform
 from hil.app.reachability import span_s
 from hil.config.reference import HoldReference, LiveReference
 from hil.robot.kinematics import jacobian
-from hil.study.faults.sizes import Robot, robot_of, size_of
+from hil.study.faults.sizes import Robot, robot_of, sensor_of, size_of
 from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant
 from plant_fmu.faults import FAULTS
@@ -104,6 +105,8 @@ def _sizes(
     whose = legs if legs and "leg" in fields else (LEG,)
     for leg in whose if chance is None else [int(chance.choice(legs or range(LEGS)))]:
         size = ({"leg": leg} if "leg" in fields else {}) | size_of(name, r, leg, chance)
+        if "sensor" in fields:
+            size["sensor"] = sensor_of(r.c, leg)[0]
         if chance is not None and "seed" in fields:
             size["seed"] = int(chance.integers(1 << 31))
         yield size
@@ -127,6 +130,8 @@ def _matches(case: Case, pattern: str) -> bool:
 def _fits(c: Configuration, name: str) -> bool:
     assert c.plant is not None
     if isinstance(c.plant.model, BenchPlant) and not name.startswith(_BENCH):
+        return False
+    if name.startswith("sensor_") and not any(getattr(c.sensors, role) for role in KINDS):
         return False
     return not without_effect(c.plant, name)
 

@@ -31,6 +31,8 @@ EXPECTED = {
         "encoder_scale": "ENCODER BRAKE",
         "encoder_sign": "ENCODER DRIVE FOLLOWING SPEED CERTIFICATE STROKE",
         "encoder_lost": "STALE",
+        **dict.fromkeys(("sensor_lost", "sensor_late", "sensor_frozen"), "ENCODER/EITHER"),
+        **dict.fromkeys(("sensor_offset", "sensor_drift", "sensor_outlier"), "ENCODER/EITHER"),
         "drive_silence": "STALE",
         "drive_reset": "DRIVE SET_UP",
         "drive_gain": _FORCE,

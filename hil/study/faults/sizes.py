@@ -1,11 +1,13 @@
 """Sizes of the faults that `hil faults` injects: the usual size of each kind, or one drawn from a range."""
 
 from collections.abc import Callable
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.sensors import KINDS
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.dynamics import Model
@@ -36,6 +38,17 @@ def robot_of(c: Configuration) -> Robot:
     tau = Model(platform, leg_spin=c.platform.leg_spin).inverse_dynamics(*home, still, still)
     weight = c.platform.platform.mass_kg * float(np.linalg.norm(c.platform.gravity_m_s2))
     return Robot(c, np.abs(tau), weight, 1e3 / c.loop.rate_Hz)
+
+
+def sensor_of(c: Configuration, leg: int) -> tuple[str, float]:
+    """Name of the first configured sensor, that of a leg if each has one, and its standard deviation, SI."""
+    for role, of_leg in (("lengths", f"length_{leg}"), ("forces", f"force_{leg}")):
+        settings = getattr(c.sensors, role)
+        if settings is not None:
+            return of_leg, settings.std[0] if isfinite(settings.std[0]) else 1.0
+    role = next(role for role in KINDS if getattr(c.sensors, role) is not None)
+    std = getattr(c.sensors, role).std[0]
+    return role, std if isfinite(std) else 1.0
 
 
 def _log(chance: Chance, low: float, high: float) -> float:
@@ -78,6 +91,7 @@ class Size(NamedTuple):
 
 _PERIODS: Callable[[Robot, int, float], float] = lambda r, _leg, x: r.period_ms * x  # noqa: E731
 _RATED: Callable[[Robot, int, float], float] = lambda r, _leg, x: r.rated_N * x  # noqa: E731
+_OF_STD: Callable[[Robot, int, float], float] = lambda r, leg, x: sensor_of(r.c, leg)[1] * x  # noqa: E731
 SIZES: dict[str, Size] = {
     "encoder_jump": Size("by_m", 5e-3, _signed, 1e-3, 0.5),
     "encoder_drift": Size("by_m_s", 5e-3, _signed, 5e-4, 0.02),
@@ -100,6 +114,10 @@ SIZES: dict[str, Size] = {
     "frames_forged_command": Size("force_N", 0.1, _signed, 0.01, 0.2, _RATED),
     "frames_forged_feedback": Size("by_m", 5e-3, _signed, 1e-3, 0.5),
     "bus_second_controller": Size("force_N", None, _signed, 0.01, 0.2, _RATED),
+    "sensor_late": Size("by_ms", 5.0, _log, 0.5, 20.0, _PERIODS),
+    "sensor_offset": Size("by", 50.0, _signed, 5.0, 100.0, _OF_STD),
+    "sensor_drift": Size("by", 50.0, _signed, 5.0, 100.0, _OF_STD),
+    "sensor_outlier": Size("by", 100.0, _signed, 20.0, 1000.0, _OF_STD),
 }
 """Kinds with one number; loads and a second controller have more."""
 

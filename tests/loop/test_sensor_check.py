@@ -1,0 +1,88 @@
+"""Sensors next to the drives, compared with the legs: agreement, and the warning where they differ or are silent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.arrays import Rows
+from drivers.signals import Mode, Warn
+from drivers.tick_columns import SENSORS
+from hil.app.configuration.configuration import Configuration
+from plant_fmu.faults import kinds
+from plant_fmu.faults.fault import Fault as PlantFault
+from tests.loop.bench import changed, run
+from tests.loop.fusion_runs import SOON
+
+EXAMPLES = Path(__file__).parents[2] / "docs/examples/sensors"
+INCLINATION: dict[str, Any] = {
+    "rate_Hz": 100,
+    "device": {
+        "protocol": "dbc",
+        "file": str(EXAMPLES / "cia410.dbc"),
+        "signals": {"roll": "SlopeLong", "pitch": "SlopeLateral"},
+        "latency_ms": 5,
+    },
+}
+NOISE: dict[str, Any] = {"tracker": {"latency_ms": 5}, "inclination": {"latency_ms": 5}}
+AT: dict[str, Any] = {"at_s": 0.4, "mode": "TRACKING"}
+
+
+def bench(**noise: Any) -> Configuration:
+    """`virtual` with a tracker, an IMU and an inclinometer that nothing fuses."""
+    sensors = {"tracker": {"rate_Hz": 200}, "imu": {"rate_Hz": 200}, "inclination": INCLINATION}
+    plant = SOON["plant"] | {"sensors": NOISE | noise}
+    return changed("virtual", **SOON | {"sensors": sensors, "plant": plant, "bus": {"max_load_percent": 90}})
+
+
+def ticks(c: Configuration, *faults: PlantFault) -> tuple[Rows, Mode]:
+    rows: list[Any] = []
+    ran = run(c, *faults, watch=lambda _lockstep, _inp, row: rows.append(row.copy()))
+    return np.array(rows, rows[0].dtype), ran.ending.mode
+
+
+def warned(rows: Rows) -> Rows:
+    """Ticks with the warning SENSOR."""
+    return rows[(rows["warnings"] & Warn.SENSOR) != 0]
+
+
+def share(rows: Rows, sensor: str) -> Any:
+    return rows["sensor_share"][:, SENSORS.index(sensor)]
+
+
+def test_good_sensors_stay_within_a_share_of_their_limits_in_motion():
+    rows, mode = ticks(bench())
+    assert mode is Mode.PARKED
+    moving = rows[rows["mode"] == Mode.TRACKING]
+    assert np.abs(moving["twist"]).max() > 0.5
+    for sensor in ("tracker", "imu", "inclination"):
+        assert 0.0 < np.nanmax(share(moving, sensor)) < 0.7, sensor
+    assert np.isnan(share(rows, "wrench")).all()
+    assert not len(warned(rows))
+
+
+@pytest.mark.parametrize(
+    ("sensor", "fault", "within_s"),
+    [
+        ("tracker", kinds.SensorOffset(sensor="tracker", axis=1, by=8e-3, **AT), 0.3),
+        ("tracker", kinds.SensorOffset(sensor="tracker", axis=5, by=0.02, **AT), 0.3),
+        ("imu", kinds.SensorOffset(sensor="imu", axis=2, by=0.5, **AT), 0.3),
+        ("inclination", kinds.SensorOffset(sensor="inclination", axis=0, by=0.02, **AT), 0.4),
+        ("inclination", kinds.SensorOffset(sensor="inclination", axis=1, by=-0.02, **AT), 0.4),
+        ("tracker", kinds.SensorFrozen(sensor="tracker", **AT), 0.5),
+        ("tracker", kinds.SensorLost(sensor="tracker", **AT), 0.05),
+        ("inclination", kinds.SensorLost(sensor="inclination", **AT), 0.1),
+    ],
+)
+def test_sensor_that_differs_from_the_legs_or_is_silent_raises_the_warning(sensor, fault, within_s):
+    rows, mode = ticks(bench(), fault)
+    assert mode is Mode.PARKED, "a warning does not end the run"
+    first = warned(rows)[0]
+    begin = rows["tick"][np.argmax(rows["mode"] == Mode.TRACKING)] + 400
+    assert 0 <= first["tick"] - begin <= 1e3 * within_s
+    others = [each for each in ("tracker", "imu", "inclination") if each != sensor]
+    assert first["sensor_share"][SENSORS.index(sensor)] > 1.0
+    assert not any((share(rows, each) > 1.0).any() for each in others)

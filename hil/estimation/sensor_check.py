@@ -89,16 +89,17 @@ def difference(tick: Any, slot: int, values: Array, dt: float, gap: Array, rate:
 SEEN = record(TICK, "tick", "latch_ns", *part("measurement", "estimate"))
 
 
-@pointed(record(WRENCH), record(SENSORS), INTEGER, SEEN)
-def compare(k: Any, sensors: Any, mode: int, tick: Any) -> int:
+@pointed(record(WRENCH), record(SENSORS), INTEGER, INTEGER, SEEN)
+def compare(k: Any, sensors: Any, mode: int, fusing: int, tick: Any) -> int:
     """Compare the samples of a tick with the legs; fill in `sensor_share` and the gaps.
 
+    fusing: not 0 while the fusion filter runs, which checks tracker and IMU by itself.
     Returns Warn.SENSOR if a sensor differs by more than its limit, or is silent while the drives are powered.
     """
     slots, apart = slots_at(sensors.slots, SLOTS), False
     for slot in range(SLOTS):
         of = slots[slot]
-        if of.present == 0:
+        if of.present == 0 or (fusing and slot in (TRACKER, IMU)):
             continue
         age_s = age_of(of, tick.tick, k.period_s)
         gap, rate = np.zeros(QUANTITIES), np.zeros(QUANTITIES)

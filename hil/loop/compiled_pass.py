@@ -140,7 +140,7 @@ def load(c: Any) -> None:
     if c.load:
         c.sensor_late = _WARN_SENSOR if call(c.load, (c.loads, c.fusing, c.tick)) > 0 else 0
     if c.compare:
-        c.sensor_late |= call(c.compare, (c.loads, c.sensors, c.mode, c.tick))
+        c.sensor_late |= call(c.compare, (c.loads, c.sensors, c.mode, c.fusing, c.tick))
 
 
 @helper

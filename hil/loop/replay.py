@@ -93,7 +93,11 @@ def other_columns(columns: Sequence[Column]) -> str:
     found = {
         "only the log has": [name for name in log if name not in own],
         "only this version has": [name for name in own if name not in log],
-        "of another type or with other names:": [n for n in own if n in log and log[n] != own[n]],
+        "of another type or with other names:": [
+            n
+            for n in own
+            if n in log and not (log[n][:3] == own[n][:3] and log[n][3].items() <= own[n][3].items())
+        ],
     }
     parts = [
         f"{what} {', '.join(names[:3])}" + (f" and {len(names) - 3} more" if len(names) > 3 else "")

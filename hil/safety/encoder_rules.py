@@ -293,7 +293,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
             judge_stillness(tick, limits, memory, x)
         if limits.second != NONE:
             legs, why, value, limit = judge_second(tick, limits, memory, x)
-            if legs and limits.second == STOPS:
+            if legs and limits.second == STOPS and memory.doubted == 0:
                 memory.doubted, memory.doubt = legs, why
                 memory.doubt_value, memory.doubt_limit = value, limit
     if not settled or memory.doubted != 0:

@@ -35,7 +35,8 @@ def test_new_record_is_that_before_the_first_tick():
     nowhere = {name for name in t.COLUMNS if np.isnan(record[name].astype(float)).all()}
     sensed = {"tracker_pose", "imu", "inclination", "length_sensor", "force_sensor"}
     lyapunov = {f"lyapunov{k}" for k in ("", "_rate", "_bound", "_share")}
-    assert nowhere == {"t_d", "encoder_share"} | lyapunov | sensed
+    gaps = {"sensor_share", "length_gap", "length_gap_now", "tracker_gap"}
+    assert nowhere == {"t_d", "encoder_share"} | lyapunov | sensed | gaps
     never = {name for name in t.COLUMNS if name.endswith("_age") and np.isposinf(record[name]).all()}
     assert len(never) == len(sensed) + 1, "an age of each, and of the wrench sensor"
     assert not any(record[name].any() for name in set(t.COLUMNS) - nowhere - never - {"tick", "age"})

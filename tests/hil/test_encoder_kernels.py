@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import Doubt, Fault, Mode
+from hil.safety.second_encoders import LENGTH, STOPS, WARNS
 from tests.hil.encoder_bench import (
     BOTH_SIGNS,
     CREEP,
@@ -326,3 +327,32 @@ def test_encoders_may_be_late_by_a_period_if_only_few_legs_answer(heard):
     bench = after(2, rate=RATES)
     bench.ticks(1, late_s=0.9 * T, unseen=[leg for leg in range(6) if leg not in heard])
     bench.ticks(3)
+
+
+def apart(leg, gap=0.5):
+    """Columns of a tick in which the second encoder of a leg reads `gap` m more, twice its limit."""
+    share = np.full(16, np.nan)
+    share[LENGTH + leg] = 2.0
+    gaps = six(gap, leg, np.nan)
+    no_tracker = {"tracker_gap": np.full(6, np.nan)}
+    return {"length_gap": gaps, "length_gap_now": gaps, "sensor_share": share} | no_tracker
+
+
+@pytest.mark.parametrize("watched_legs", [63, 0])
+@ON_ONE_LEG
+def test_encoders_contradicted_by_a_second_one_are_doubted_after_a_time(leg, watched_legs):
+    limits = {"second_m": 0.25, "second_ticks": 3, "watched_legs": watched_legs}
+    bench = Bench(second=STOPS, **limits)
+    bench.ticks(2, **apart(leg))
+    assert doubted(bench.tick(**apart(leg)), Doubt.EITHER, leg, 0.5, 0.25)
+    assert bench.faults == Fault.ENCODER
+    Bench(second=WARNS, **limits).ticks(9, **apart(leg))
+
+
+def test_encoders_that_jump_are_doubted_for_that_although_a_second_one_contradicts():
+    bench = Bench(second=STOPS, second_m=0.25, second_ticks=3)
+    bench.ticks(2, **apart(1))
+    assert doubted(bench.tick(jump=six(9.0, 2), **apart(1)), Doubt.JUMP, 2, 9.0, CREEP)
+    bench = Bench(second=STOPS, second_m=0.25, second_ticks=3)
+    bench.ticks(2)
+    assert doubted(bench.tick(jump=six(9.0, 2)), Doubt.JUMP, 2, 9.0, CREEP)

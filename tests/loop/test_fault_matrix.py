@@ -26,7 +26,7 @@ from tests.live_reference import LIVE_REFERENCE
 from tests.loop.bench import bench, changed
 
 BOUNDS = Bounds(stopping_m=0.163, controlled_m=0.283, harmless_m=0.01, harmless_s=0.01)
-KINDS = [name for name in FAULTS if not name.startswith("process")]
+KINDS = [name for name in FAULTS if not name.startswith(("process", "sensor"))]
 
 
 def test_the_matrix_has_each_kind_at_each_moment_for_each_given_leg():

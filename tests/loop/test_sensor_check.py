@@ -46,7 +46,8 @@ def ticks(c: Configuration, *faults: PlantFault) -> tuple[Rows, Mode]:
 
 def warned(rows: Rows) -> Rows:
     """Ticks with the warning SENSOR."""
-    return rows[(rows["warnings"] & Warn.SENSOR) != 0]
+    found: Rows = rows[(rows["warnings"] & Warn.SENSOR) != 0]
+    return found
 
 
 def share(rows: Rows, sensor: str) -> Any:

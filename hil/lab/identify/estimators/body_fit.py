@@ -37,9 +37,9 @@ WEAK = 10.0
 """F statistic of the first stage below which instruments are weak (D. Staiger and J. H. Stock, Econometrica
 65, 1997).
 """
-SERIES = 96
-"""Terms of the cosine series: degrees of freedom of an error over its standard error. With more terms, noise
-that grows with frequency is overstated."""
+SERIES = 32
+"""Terms of the cosine series: degrees of freedom of an error over its standard error, so that one of 2,900 is
+beyond four. With more terms, noise that grows with frequency is overstated."""
 FEWEST_SAMPLES = 100
 ROUNDS = 3
 """Rounds of weighting by the residuals."""
@@ -143,7 +143,7 @@ def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
     """Covariance (k, k) of the least squares of Z x = y with coloured residuals (m,).
 
     A^-1 (mean over j of L_j L_j^T) A^-1, A = Z^T Z, L_j = sqrt(2) sum_t cos(pi j (t - 1/2) / n) s_t with the
-    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 96. The factor m / (m - k)
+    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 32. The factor m / (m - k)
     accounts for the k fitted unknowns.
     """
     m, k = Z.shape

@@ -32,7 +32,7 @@ SECOND_MEMORY = [
     ("gap_like", "<f8", (LEGS,)),  # m, a mean over the same time as that of the tracker
     ("tracker_was", "<f8", (LEGS,)),  # m, tracker less drive's encoder while the two agreed
     ("rests", "<i8"), ("rest_length", "<f8", (LEGS,)), ("rest_gap", "<f8", (LEGS,)),  # as brakes closed, m
-    ("suspect_tick", "<i8", (LEGS,)),  # last tick in which the second encoder alone counts as wrong
+    ("suspect_tick", "<i8", (LEGS,)),  # until then the second encoder alone counts as wrong
     ("second_wrong", "<i8"),  # bit i: the second encoder of leg i is the wrong one
 ]  # fmt: skip
 """Fields of the memory of these rules."""
@@ -66,7 +66,7 @@ def _follow(tick: Any, limits: Any, memory: Any, leg: int, allowed: float, x: An
         late = allowed + limits.period_s * abs(tick.rate[leg])
         swift = abs(memory.gap_fast[leg] - memory.gap_slow[leg]) > late + SLOW_S * x["leap_bound"][leg]
         if swift or jump > late + x["bound"][leg]:
-            memory.suspect_tick[leg] = tick.tick + limits.second_ticks
+            memory.suspect_tick[leg] = tick.tick + 1 + limits.second_ticks
 
 
 @helper
@@ -117,7 +117,7 @@ def judge_second(tick: Any, limits: Any, memory: Any, x: Any) -> tuple[int, int,
         found = _on_brake(tick, memory, leg, allowed) if rests else 0
         if share > 1.0:
             memory.apart[leg] += 1
-            if memory.apart[leg] <= limits.second_ticks and tick.tick <= memory.suspect_tick[leg]:
+            if memory.apart[leg] <= limits.second_ticks and tick.tick < memory.suspect_tick[leg]:
                 memory.second_wrong |= 1 << leg
             found = found or _decided(tick, limits, memory, leg)
         else:

@@ -151,9 +151,12 @@ class SensorProtocol:
     def cyclic_frames(self, rate_Hz: float) -> tuple[Frame, ...]:
         """One example of every frame that can fall into one tick at a loop of `rate_Hz`, polls included."""
         found: list[Frame] = []
+        seen: set[tuple[int, ...]] = set()
         for each in self.sensors.values():
             device = each.device
-            own = [Frame(of.id, bytes(of.length), of.flags) for of in device.messages]
+            new = [of for of in device.messages if (each.bus, *of.key) not in seen]
+            seen.update((each.bus, *of.key) for of in new)
+            own = [Frame(of.id, bytes(of.length), of.flags) for of in new]
             polls = () if device.poll is None else (device.poll,)
             found += each.on_bus((*own, *polls)) * ceil(each.rate_Hz / rate_Hz * (1 - 1e-9))
         return tuple(found)
@@ -187,13 +190,18 @@ class SensorProtocol:
 
     def refuse_clashes(self, protocol: Family) -> None:
         """Raise ConfigurationError for an identifier that two nodes of a bus use."""
-        taken = {(f.bus, f.id, f.flags & EXTENDED): "a drive" for f in protocol.traits.cyclic_frames}
+        traits = protocol.traits
+        requests = {(f.bus, f.id, f.flags & EXTENDED) for own in traits.identity_requests for f in own}
+        taken = {(f.bus, f.id, f.flags & EXTENDED): "a drive" for f in traits.cyclic_frames}
         for each in self.sensors.values():
             mine = f"sensors.{each.role}"
             frames = [Frame(of.id, b"", of.flags & EXTENDED) for of in each.device.messages]
-            for frame in each.on_bus(frames):
+            starts = [
+                f for f in each.on_bus(each.device.start) if (f.bus, f.id, f.flags & EXTENDED) in requests
+            ]
+            for frame in (*starts, *each.on_bus(frames)):
                 other = taken.setdefault((frame.bus, frame.id, frame.flags & EXTENDED), mine)
-                if other != mine or protocol.sender(frame) >= 0:
+                if frame in starts or other != mine or protocol.sender(frame) >= 0:
                     raise ConfigurationError(
                         f"{mine}: identifier 0x{frame.id:X} is also that of "
                         f"{other.replace(mine, 'a drive')}, allowed: one node for each; change a node "

@@ -24,6 +24,10 @@ _START, _PREPARE = 0x01, 0x80
 """NMT commands: to OPERATIONAL, to PRE-OPERATIONAL."""
 _TYPES = {"sync": 1, "cyclic": 254, "change": 255}
 """Trigger -> transmission type of CiA 301: every SYNC, by event timer, by the device."""
+_TIMERS = {"cyclic": (5, 1e3), "change": (3, 1e4)}
+"""Trigger -> subindex of the event timer or inhibit time in the PDO's parameters, and 1 / its unit, Hz."""
+_LONGEST, _ROUNDING = 0xFFFF, 0.01
+"""Largest value of a timer; largest relative error of its period. A timer of 0 is off."""
 
 
 def _not_0(value: PerLeg) -> PerLeg:
@@ -80,13 +84,18 @@ class CanopenSensor(Timed):
     def _start(self, node: int, rate_Hz: float) -> list[Frame]:
         frames = []
         if self.set_up:
-            parameters, period_ms = 0x1800 + self.pdo - 1, round(1e3 / rate_Hz)
+            parameters = 0x1800 + self.pdo - 1
             type_ = written(node, parameters, 2, _TYPES[self.trigger], 1)
             frames = [Frame(0, bytes([_PREPARE, node])), type_]
-            if self.trigger == "cyclic":
-                frames.append(written(node, parameters, 5, period_ms, 2))
-            elif self.trigger == "change":
-                frames.append(written(node, parameters, 3, 10 * period_ms, 2))
+            if self.trigger in _TIMERS:
+                sub, unit_Hz = _TIMERS[self.trigger]
+                count = round(unit_Hz / rate_Hz)
+                if not 1 <= count <= _LONGEST or abs(count * rate_Hz / unit_Hz - 1.0) > _ROUNDING:
+                    raise ConfigurationError(
+                        f"trigger: {self.trigger} at {rate_Hz:g} Hz is not a whole number of the timer's "
+                        f"{1e3 / unit_Hz:g} ms, allowed: rate_Hz {unit_Hz:g} / n with n from 1 to {_LONGEST}"
+                    )
+                frames.append(written(node, parameters, sub, count, 2))
         return [*frames, Frame(0, bytes([_START, node]))]
 
 

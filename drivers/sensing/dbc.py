@@ -45,7 +45,7 @@ class DbcSensor(Timed):
     negative: list[str] = []
     """Quantities whose sign is opposite to that of their signal."""
     valid: dict[str, int] = {}
-    """Signal -> raw value that marks its message's sample as valid."""
+    """Signal -> raw value that marks a sample as valid; its message is part of each sample."""
     source_address: Annotated[int, Key(ge=0, le=253)] | None = None
     """J1939: source address in the identifiers of 29 bits, in place of that of the DBC."""
     trigger: Literal["sync", "free"] = "free"
@@ -56,7 +56,8 @@ class DbcSensor(Timed):
         """Messages of one measurement."""
         role, (name, text, database) = wanted.role, self._database(wanted.folder)
         names = CHANNELS[role]
-        if strange := [each for each in {**self.signals, **self.units, **self.offsets} if each not in names]:
+        given = (*self.signals, *self.units, *self.offsets, *self.negative)
+        if strange := [each for each in given if each not in names]:
             raise ConfigurationError(
                 f"signals: unknown quantity, allowed: {', '.join(names)}, given: {strange[0]}"
             )
@@ -78,10 +79,10 @@ class DbcSensor(Timed):
                 conditions += [each for each in _selection(message, signal) if each not in conditions]
         for signal_name, value in self.valid.items():
             message, signal = _found(database, signal_name, name)
-            if message.name in messages:
-                start, bits, _, big = _place(signal)
-                mask = (1 << bits) - 1
-                messages[message.name][2].append(Condition(start, bits, value & mask, mask, big))
+            start, bits, _, big = _place(signal)
+            mask = (1 << bits) - 1
+            conditions = messages.setdefault(message.name, (message, [], []))[2]
+            conditions.append(Condition(start, bits, value & mask, mask, big))
         return self.timed(
             self.trigger,
             messages=tuple(self._message(*each) for each in messages.values()),

@@ -83,6 +83,11 @@ class Message(NamedTuple):
     checked: bool = False
     """True if it ends in the CRC-8 of sensors.dbc."""
 
+    @property
+    def key(self) -> tuple[int, ...]:
+        """What makes it one frame on its bus: identifier, flags, and its multiplexers' values."""
+        return (self.id, self.flags, *(each.equals for each in self.conditions if each.selects))
+
 
 class Device(NamedTuple):
     """Messages and time of one measurement of a device."""

@@ -162,22 +162,32 @@ class SensedNodes(Nodes):
         if truth is None and any(slot < LENGTH for slot in self._of):
             raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
         self._applied[:] = self._record["force"] if truth is None else truth.applied_force
+        frames: dict[tuple[int, ...], Rows | None] = {}
         for slot, due_ns in self._due_ns.items():
             if due_ns == t_ns:
-                self._sample(slot, t_ns, truth or _NOWHERE, grid_ns)
+                self._sample(slot, t_ns, truth or _NOWHERE, grid_ns, frames)
                 self._count[slot] += 1
                 next_ns = self._start_ns + round(self._count[slot] * self._period_ns[slot])
                 self._due_ns[slot] = next_ns if slot in self._own_clock else NEVER_NS
                 if slot == IMU:
                     noted_ns = next_ns - round(self._h_ns) if slot in self._own_clock else t_ns
                     self._note_ns = max(noted_ns, t_ns)
+        for frame in frames.values():
+            if frame is not None:
+                self._send(int(frame["t_ns"][0]), frame)
+        self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)
         if self._note_ns <= t_ns and truth is not None:
             self._sensed["before_ns"], self._sensed["before"] = grid_ns, truth.twist[:3]
             self._note_ns = NEVER_NS
         self._sense_ns = min(self._note_ns, *self._due_ns.values())
 
-    def _sample(self, slot: int, t_ns: int, truth: Truth, grid_ns: int) -> None:
-        """Take one sample, and keep its frames until its latency is over."""
+    def _sample(
+        self, slot: int, t_ns: int, truth: Truth, grid_ns: int, frames: dict[tuple[int, ...], Rows | None]
+    ) -> None:
+        """Take one sample, and add its fields to the frames of this instant; None is a frame not sent.
+
+        Slots that share a message share its frame: the first one decides on its latency and loss.
+        """
         n, each, chance = self._sensed, self._of[slot], self._chance
         node = getattr(self._noise, each.role)
         chance.standard_normal(out=n["drawn"])
@@ -191,22 +201,23 @@ class SensedNodes(Nodes):
             late_ns += round(1e6 * getattr(fault, "by_ms", 0.0))
             held = self._held.setdefault((slot, since_ns), n["values"].copy())
             lost |= not fault.alter(n["values"], 1e-9 * (t_ns - since_ns), held, own)
-        if lost or self._present.hangs or status == SILENT or not self._started[slot]:
+        if self._present.hangs or status == SILENT or not self._started[slot]:
             return
         late_ns += round(chance.random() * node.jitter_ms * 1e6) if node.jitter_ms else 0
         raw = n["values"].copy() if each.device.mix is None else np.linalg.solve(each.device.mix, n["values"])
-        for row in self._rows[slot]:
+        for row, message in zip(self._rows[slot], each.device.messages, strict=True):
             frame = np.zeros(1, FRAME)
             given = row, self._count[slot] & 0xFFFF, t_ns, 1e-3 * node.time_offset_ms, raw
             if fill_frame(n, *given, frame.reshape(())) == FAILED:
                 raise ProtocolError(f"sample of {each.role} is not a number: {n['values'].tolist()}")
             frame["t_ns"] = t_ns + late_ns
             content = frame["data"].tobytes()
-            if each.device.changes and self._last.get(row) == content:
-                continue
-            self._last[row] = content
-            self._send(int(frame["t_ns"][0]), frame)
-        self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)
+            stays = each.device.changes and self._last.get(row) == content
+            whole = frames.setdefault((each.bus, *message.key), None if lost or stays else frame)
+            if whole is frame:
+                self._last[row] = content
+            elif whole is not None:
+                whole["data"] |= frame["data"]
 
     def _send(self, t_ns: int, frame: Rows) -> None:
         sent = [(t_ns, frame)]

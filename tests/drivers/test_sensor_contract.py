@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.frame_array import joined
 from hil.contracts.sensor import SensorContract
 
 ROOT = Path(__file__).parents[2]
@@ -103,3 +104,29 @@ class TestJ1939ByDbc(SensorContract):
     }
     RESOLUTION = 1e-6
     FOLDER = ROOT
+
+
+class TestLegsOfOneMessageByDbc(SensorContract):
+    ROLE = "lengths"
+    SETTINGS = {
+        "rate_Hz": 250,
+        "device": {
+            "protocol": "dbc",
+            "file": "tests/data/sensor_messages.dbc",
+            "signals": {f"leg_{leg}": f"L{leg}" for leg in range(6)},
+            "valid": {"LEGS_STATUS.Fault": 0},
+            "latency_ms": 2,
+        },
+    }
+    RESOLUTION = 3e-5
+    FOLDER = ROOT
+
+    def test_emulated_device_sends_all_legs_of_a_message_in_one_frame(self, protocol):
+        _, frames, _ = self.run(protocol, 100, lost_percent=30)
+        ours = joined(frames)
+        assert set(ours["id"].tolist()) == {700, 701, 702}
+        for frame in ours[ours["id"] == 700]:
+            raw = np.frombuffer(frame["data"].tobytes()[:8], "<u2")
+            assert raw.byteswap()[2] > 19_000, "the third leg is big endian"
+            assert (raw[[0, 1, 3]] > 19_000).all(), "1 m and more, at 0.05 mm a step"
+        assert len(protocol.cyclic_frames(1000)) == 3

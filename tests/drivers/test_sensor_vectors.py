@@ -19,6 +19,7 @@ from drivers.sensing.dbc import FACTORS
 from drivers.sensing.layout import FORCE, IMU, INCLINATION, LENGTH, WRENCH, Reception, unheard
 from drivers.sensing.settings import SensorSettings
 from drivers.sensors import SensorProtocol
+from tests.drivers.cia402_drives import drives
 from tests.sensor_samples import hear_frames
 
 ROOT = Path(__file__).parents[2]
@@ -302,6 +303,7 @@ def test_multiplexed_signal_counts_with_its_selector_only():
     ("device", "message"),
     [
         ({"signals": {"roll": "SlopeLong", "yaw": "SlopeLateral"}}, "unknown quantity.*given: yaw"),
+        ({"signals": {"roll": "SlopeLong", "pitch": "SlopeLateral"}, "negative": ["rol"]}, "given: rol$"),
         ({"signals": {}}, "incomplete, missing: roll, pitch"),
         ({"signals": {"roll": "Slope"}}, "Slope of cia410.dbc: unknown"),
         ({"signals": {"roll": "SlopeLong"}, "units": {"roll": "N"}}, "roll: .*'N'.*allowed: rad"),
@@ -315,3 +317,30 @@ def test_incomplete_mapping_is_refused_in_one_line(device, message):
     with pytest.raises(ConfigurationError, match=rf"sensors\.inclination\.device\..*{message}") as raised:
         SensorProtocol(BusSettings(), sensors, ROOT)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("quality", [0, 3])
+def test_status_in_a_message_of_its_own_marks_the_sample(quality):
+    signals = {leg: f"L{n}" for n, leg in enumerate(LEGS)}
+    settings = by_dbc(DATA, signals, valid={"Fault": 0})
+    data, status = Frame(700, b"\x20\x4e" * 4), Frame(702, bytes([quality]))
+    found = heard("lengths", settings, data, status)
+    assert found.slots["count"][LENGTH] == (quality == 0)
+    assert heard("lengths", settings, data).slots["count"][LENGTH] == 0, "no status, no sample"
+
+
+@pytest.mark.parametrize(
+    ("trigger", "rate_Hz"), [("cyclic", 2000), ("cyclic", 0.01), ("change", 0.1), ("cyclic", 300)]
+)
+def test_rate_beyond_the_timer_of_a_pdo_is_refused(trigger, rate_Hz):
+    settings = canopen("cia406", 3, step_m=1e-6, trigger=trigger) | {"rate_Hz": rate_Hz}
+    with pytest.raises(ConfigurationError, match=r"sensors\.lengths\.device\.trigger: .*allowed") as raised:
+        SensorProtocol(BusSettings(), SensorSettings.model_validate({"lengths": settings}))
+    assert "\n" not in str(raised.value)
+
+
+def test_set_up_of_a_sensor_never_goes_to_a_drive():
+    settings = canopen("cia406", 3, step_m=1e-6, pdo=4, trigger="cyclic")
+    sensors = SensorProtocol(BusSettings(), SensorSettings.model_validate({"lengths": settings}))
+    with pytest.raises(ConfigurationError, match=r"identifier 0x603 is also that of a drive"):
+        sensors.refuse_clashes(drives((1, 2, 3, 4, 5, 6)))

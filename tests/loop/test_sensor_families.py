@@ -70,7 +70,7 @@ def test_second_encoders_load_cells_and_tracker_work_next_to_any_drives(family, 
 
 
 def test_age_of_a_free_running_encoder_is_right_to_the_waiting_time_on_the_bus():
-    encoders = merged(ENCODERS, {"device": {"trigger": "cyclic", "latency_ms": 2.1}})
+    encoders = merged(ENCODERS, {"rate_Hz": 500, "device": {"trigger": "cyclic", "latency_ms": 2.1}})
     changes = {
         "sensors": {"lengths": encoders},
         "plant": {"sensors": {"lengths": {"noise_m": 0, "latency_ms": 2}}},

@@ -8,8 +8,8 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
-    "drivers": (10_560, 77_600),
-    "plant_fmu": (8_795, 63_050),
+    "drivers": (10_585, 77_900),
+    "plant_fmu": (8_805, 63_200),
     "hil/loop hil/operate": (6_770, 52_250),
     "hil/safety hil/estimation": (3_415, 28_550),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
@@ -23,7 +23,7 @@ BUDGETS = {
     "hil/contracts": (1_720, 14_900),
     "tools": (2_706, 21_550),
     "configs": (210, 1_900),
-    "tests": (73_700, 658_650),
+    "tests": (73_755, 659_100),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

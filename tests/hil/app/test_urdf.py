@@ -54,7 +54,7 @@ def half(name):
 
 
 def urdf(*, platform="leg", legs=6, stroke=1.0, masses=True):
-    """The robot with its legs as chains of a universal joint, a prismatic joint whose axis is -z, and a ball joint."""
+    """The robot with its legs as chains of a universal joint, a prismatic joint and a ball joint; odd legs slide along -z."""
     a, b = (np.array(ROBOT[key]) for key in ("base_joints", "platform_joints"))
     ends = HOME + TURN.apply(b)
     parts = [
@@ -75,11 +75,13 @@ def urdf(*, platform="leg", legs=6, stroke=1.0, masses=True):
             link(f"rod{i}", n * masses, (0, 0, q - 0.3 - com_rod), I_rod),
         ]
         parts += [link(f"v{i}"), link(f"w{i}"), link(f"tip{i}")]
-        limits = f'<limit lower="{-stroke / 2}" upper="{stroke / 2 + 0.01 * i}" effort="1" velocity="1"/>'
+        ends_m = (-stroke / 2, stroke / 2 + 0.01 * i)
+        lower, upper = (-ends_m[1], -ends_m[0]) if i % 2 else ends_m
+        limits = f'<limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
         parts += [
             joint(f"u{i}", "revolute", "base", f"u{i}", frame(a[i], R), "1 0 0"),
             joint(f"c{i}", "continuous", f"u{i}", f"cylinder{i}", axis="0 1 0"),
-            joint(f"s{i}", "prismatic", f"cylinder{i}", f"rod{i}", frame((0, 0, 0.3)), "0 0 1", limits),
+            joint(f"s{i}", "prismatic", f"cylinder{i}", f"rod{i}", frame((0, 0, 0.3)), "0 0 -1" if i % 2 else "0 0 1", limits),
             joint(f"v{i}", "revolute", f"rod{i}", f"v{i}", frame((0, 0, q - 0.3)), "1 0 0"),
             joint(f"w{i}", "revolute", f"v{i}", f"w{i}", axis="0 1 0"),
             joint(f"t{i}", "revolute", f"w{i}", f"tip{i}"),
@@ -148,6 +150,9 @@ REFUSED = {
     "two parents": (WHOLE.replace("</robot>", joint("x", "fixed", "tip0", "plate") + "</robot>"), "two joints lead to it: plate"),
     "circle": (WHOLE.replace('<parent link="base"/><child link="u0"/>', '<parent link="tip0"/><child link="u0"/>'), "children of each other"),
     "aside": (WHOLE.replace('<axis xyz="0 0 1"/><limit', '<axis xyz="0 0.1 1"/><limit', 1), "joint s0: does not slide along the line"),
+    "apart": (re.sub(r'(name="c0".*?xyz=")0 0 0', r"\g<1>0 0 0.01", WHOLE, count=1), "(u0, c0) are not in one point"),
+    "stroke": (urdf(stroke=99.0), "the legs share no stroke"),
+    "unequal": (re.sub(r'(<link name="rod0">.*?mass value=")', r"\g<1>9", WHOLE, count=1), "the six rods have different masses"),
     "number": (re.sub(r'mass value="(?!90)[^"]*"', 'mass value="1e999"', WHOLE), "link plate: <mass value>: allowed: 1 finite numbers"),
 }  # fmt: skip
 

@@ -47,7 +47,12 @@ def find(c: Context) -> None:
 
 def tolerance(spread: float) -> float:
     """Tolerance of an encoder scale, a ratio, from two tape lengths `spread` m apart; at least 0.003."""
-    return max(SIGMAS * sqrt(2.0) * TAPE_M / spread, 3e-3)
+    return tolerance_m(spread) / spread
+
+
+def tolerance_m(spread: float) -> float:
+    """Tolerance of a change of length, m, between two tape lengths `spread` m apart, which may be 0."""
+    return max(SIGMAS * sqrt(2.0) * TAPE_M, 3e-3 * spread)
 
 
 def judge(c: Context) -> Iterator[Finding]:

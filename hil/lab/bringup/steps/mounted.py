@@ -1,7 +1,6 @@
 """Bring-up step that checks the mounting: leg lengths while the platform hangs at known poses."""
 
 from collections.abc import Iterator
-from math import inf
 
 import numpy as np
 
@@ -9,7 +8,7 @@ from drivers.arrays import Array
 from drivers.signals import LEGS
 from hil.lab.bringup.context import SETTLED_S, TAPE_M, Context, Finding, Request, Step, gap_of
 from hil.lab.bringup.steps import scan
-from hil.lab.bringup.steps.encoder import SIGMAS, ZERO_M, tolerance
+from hil.lab.bringup.steps.encoder import SIGMAS, ZERO_M, tolerance_m
 
 FIT_M = 4e-3
 """Largest accepted error of a leg length at a pose fixed by a jig."""
@@ -76,7 +75,7 @@ def judge(c: Context) -> Iterator[Finding]:
         return
     at_joints = np.abs(tape - m.pose_lengths).max(axis=0) <= FIT_M
     for leg in np.flatnonzero(at_joints).tolist():
-        if finding := misread(leg, q, tape):
+        if finding := _misread(leg, q, tape):
             yield finding
             wrong = [each for each in wrong if each != leg]
     tilted = "See that the platform hangs at the known poses, not tilted. " * (len(wrong) > 1)
@@ -91,13 +90,11 @@ def judge(c: Context) -> Iterator[Finding]:
         yield Finding(name, (leg,), text, remedy)
 
 
-def misread(leg: int, q: Array, tape: Array) -> Finding | None:
+def _misread(leg: int, q: Array, tape: Array) -> Finding | None:
     """Finding about a leg at its joints that does not read its length by tape, or None; both (poses, 6) m."""
     (moved, reads), off_m = ((x[-1, leg] - x[0, leg]) for x in (tape, q)), (q - tape)[:, leg].mean()
-    within, scale = inf, 1.0
-    if abs(moved) > SIGMAS * TAPE_M:  # else the poses show no scale
-        within, scale = tolerance(abs(moved)), reads / moved
-    if abs(scale - 1.0) <= within:
+    within_m = tolerance_m(abs(moved))
+    if abs(reads - moved) <= within_m:
         if abs(off_m) <= max(ZERO_M, SIGMAS * TAPE_M):
             return None
         text = f"at the known poses it reads {1e3 * off_m:+.1f} mm off the tape"
@@ -107,8 +104,8 @@ def misread(leg: int, q: Array, tape: Array) -> Finding | None:
     if np.abs(tape[:, [leg, other]] - q[:, [other, leg]]).max() <= ZERO_M:
         text = f"it reads leg {other}, and that reads this: encoder cables, or node numbers (ids_swapped)"
         return Finding("encoder_crossed", (leg,), text, f"Exchange them back. {AFTER}")
-    text = f"between the known poses it reads {scale:.3f} m a m by tape, +- {within:.3f}: "
-    text += "encoder_scale, or wrong_lead of screw or gear"
+    text = f"between the known poses it reads {1e3 * reads:+.1f} mm, by tape {1e3 * moved:+.1f} mm, "
+    text += f"+- {1e3 * within_m:.1f} mm: encoder_scale, or wrong_lead of screw or gear"
     return Finding("scale_or_lead", (leg,), text, f"Compare counts per m, lead and gear. {AFTER}")
 
 

@@ -16,7 +16,7 @@ from hil.lab.bringup.context import Finding
 from hil.lab.bringup.drives import Drives
 from hil.lab.bringup.procedure import STEPS, Outcome
 from hil.lab.bringup.rehearsal import mistake_of
-from hil.lab.bringup.steps import brakes, encoder, ids
+from hil.lab.bringup.steps import brakes, encoder, ids, mounted
 from hil.lab.bringup.store import Store, identity
 from plant_fmu.rehearsal.wiring import wired
 from tests.hil.lab.bringup.rehearsals import Rehearsal, named
@@ -152,6 +152,17 @@ def test_tape_at_the_known_poses_finds_what_changed_at_mounting(mistake, found):
     rehearsal = Rehearsal("desktop", wired(mistake_of(f"{mistake} mounting")))
     assert named(rehearsal.run(MOUNTED)) == {found}
     assert Rehearsal("desktop").run(MOUNTED).success
+
+
+@pytest.mark.parametrize(("read_m", "found"), [(0.0, set()), (5e-3, {"scale_or_lead"})])
+def test_leg_of_equal_tape_lengths_at_both_poses_is_judged_in_metres(read_m, found):
+    rehearsal = Rehearsal("virtual")
+    rehearsal.run(MOUNTED)
+    c = rehearsal.context
+    c.machine.pose_lengths[1, 2] = c.machine.pose_lengths[0, 2]
+    for pose, key in ((0, "mounted"), (1, "mounted"), (0, "taped"), (1, "taped")):
+        c.known(key, pose)["q_m"][2] = c.machine.pose_lengths[0, 2] + read_m * pose * (key == "mounted")
+    assert {finding.name for finding in mounted.judge(c)} == found
 
 
 def test_crossed_encoders_are_found_by_tape_and_not_taken_for_other_joints():

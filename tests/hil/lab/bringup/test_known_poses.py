@@ -7,7 +7,6 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.lab.bringup.machine import TILT_deg, known_poses
-from hil.lab.bringup.steps.mounted import misread
 from hil.robot.kinematics import leg_lengths
 
 
@@ -49,11 +48,3 @@ def test_home_at_the_end_of_the_stroke_is_refused_and_names_the_leg():
     narrow = with_stroke(c, 0.1 * reach_m(c))
     with pytest.raises(ConfigurationError, match=r"leg \d"):
         known_poses(narrow)
-
-
-@pytest.mark.parametrize(("off_m", "finding"), [(0.0, None), (5e-3, "slipped")])
-def test_leg_with_equal_tape_lengths_at_both_poses_is_checked_for_its_offset_alone(off_m, finding):
-    tape = np.full((2, 6), 0.5)
-    tape[1, 1:] = 0.53
-    found = misread(0, tape + np.array([off_m, 0, 0, 0, 0, 0]), tape)
-    assert (found and found.name) == finding

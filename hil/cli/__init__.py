@@ -50,6 +50,7 @@ COMMANDS = {
     "workspace": "Map of the reachable poses, with a picture; nothing moves.",
     "compare": "Compare all control laws on your platform and path; nothing moves.",
     "fmu": "Build the platform's FMU; inspect your own.",
+    "bus": "CAN FMUs (FMI-LS-BUS) on a simulated or a real CAN bus.",
     "schema": "JSON Schema with which editors complete and check configurations.",
     "calibrate": "Joint positions and length offsets from measured poses.",
     "identify": "Identify axis models or delay, payload and friction, from a run or logs.",

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
     "drivers": (10_585, 77_900),
-    "plant_fmu": (8_805, 63_200),
+    "plant_fmu": (9_740, 70_600),
     "hil/loop hil/operate": (6_770, 52_250),
     "hil/safety hil/estimation": (3_415, 28_550),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
@@ -18,12 +18,12 @@ BUDGETS = {
     "hil/design hil/proof": (6_150, 56_700),
     "hil/lab": (8_010, 67_800),
     "hil/study": (8_050, 65_250),
-    "hil/app": (11_070, 81_900),
-    "hil/cli": (2_305, 11_900),
+    "hil/app": (11_220, 82_750),
+    "hil/cli": (2_370, 12_200),
     "hil/contracts": (1_720, 14_900),
     "tools": (2_706, 21_550),
     "configs": (210, 1_900),
-    "tests": (73_765, 659_300),
+    "tests": (74_365, 662_900),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

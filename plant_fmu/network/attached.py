@@ -1,0 +1,125 @@
+"""Attached: CAN FMUs on a CAN interface in real time, each with a link of its own.
+
+Arbitration, bit time and errors are those of the interface. The FMUs are stepped in communication steps,
+and a countdown between two steps is met at its own time. A late step is made up for: no step is left out.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from drivers.can.link import OWN, Link
+from drivers.errors import BusError
+from drivers.frame_array import sent_array, unpack_frames
+from drivers.protocol import ERROR, FD, Frame
+from plant_fmu.network import operations as op
+from plant_fmu.network.operations import Code, Operation
+from plant_fmu.network.station import Station
+
+_BINS_US = 100_000
+"""Lateness is counted in bins of 1 us up to this; the last bin has all beyond."""
+
+
+class Attached:
+    """CAN FMUs of `stations`, in real time on `links`, one link each with the same clock.
+
+    Mutable state: the stations and links; per station the frames that the interface has not confirmed; the
+    histogram of lateness; counts.
+    """
+
+    def __init__(self, stations: Sequence[Station], links: Sequence[Link], step_ns: int) -> None:
+        self.stations, self._links, self._step_ns = list(stations), list(links), step_ns
+        self.frames = self.lost = self.errors = self.unsent = 0
+        self._pending: list[list[Frame]] = [[] for _ in self.stations]
+        self._late = np.zeros(_BINS_US + 1, np.int64)
+
+    def run(self, until_ns: int, stop: Callable[[], bool] = lambda: False) -> None:
+        """Run from time 0 to `until_ns`, ns, or until `stop` is true. Raises PlantError, BusError."""
+        clock = self._links[0].clock
+        begin_ns, now = clock.now(), 0
+        while True:
+            self._exchange(now)
+            if now >= until_ns or stop():
+                return
+            dues = [due for s in self.stations if (due := s.node.next_ns()) is not None]
+            now = min(
+                until_ns, now - now % self._step_ns + self._step_ns, *(max(now + 1, due) for due in dues)
+            )
+            clock.sleep_until(begin_ns + now)
+            late_us = (clock.now() - begin_ns - now) // 1000
+            self._late[min(max(late_us, 0), _BINS_US)] += 1
+
+    def lateness_us(self) -> dict[str, int]:
+        """Median, 99 % and largest lateness of the steps, us; `largest` is bounded by 0.1 s."""
+        counts = np.cumsum(self._late)
+        if not counts[-1]:
+            return {}
+        places = {"median": 0.5, "p99": 0.99, "largest": 1.0}
+        return {name: int(np.searchsorted(counts, part * counts[-1])) for name, part in places.items()}
+
+    def _exchange(self, now_ns: int) -> None:
+        for index, station in enumerate(self.stations):
+            self._receive(index)
+            station.node.advance(now_ns)
+            self.accept(index, station.exchange())
+
+    def accept(self, index: int, operations: Sequence[Operation]) -> None:
+        """Send the frames of `operations`, from station `index`; a Wakeup goes to the other stations."""
+        for operation in operations:
+            if operation.code is Code.WAKEUP:
+                for other, station in enumerate(self.stations):
+                    if other != index:
+                        station.inbox.append(operation)
+            else:
+                self._send(index, op.to_frame(operation))
+
+    def _send(self, index: int, frame: Frame) -> None:
+        link = self._links[index]
+        try:
+            taken = link.send(sent_array([frame]))
+        except BusError:
+            self.stations[index].refuse(op.encode([op.from_frame(frame)]))
+            return
+        if not taken:
+            self.unsent += 1
+            return
+        self.frames += 1
+        if link.knows_ends:
+            self._pending[index].append(frame)
+        else:
+            self._confirm(index, frame)
+
+    def _confirm(self, index: int, frame: Frame) -> None:
+        self.stations[index].inbox.append(Operation(Code.CONFIRM, (frame.id,)))
+
+    def _receive(self, index: int) -> None:
+        station, pending, foreign = self.stations[index], self._pending[index], False
+        for _, identifier, _, size, flags, data in unpack_frames(self._links[index].receive().tobytes()):
+            frame = Frame(identifier, data[:size], flags & (ERROR - 1))
+            if flags & ERROR:
+                self.errors += 1
+            elif flags & OWN:
+                self._confirm(index, frame)
+                own = next((k for k, each in enumerate(pending) if _same(each, frame)), None)
+                if own is not None:
+                    del pending[own]
+            elif station.status != op.BUS_OFF:
+                foreign = True
+                station.inbox.append(op.from_frame(frame))
+        if foreign and pending and station.discards:
+            self._discard(index)
+
+    def _discard(self, index: int) -> None:
+        """Take back the frames that have not started, as another node's frame was first."""
+        pending, link = self._pending[index], self._links[index]
+        withdrawn = int(getattr(link, "flush_tx", int)() or 0)
+        for frame in pending[len(pending) - withdrawn :]:
+            self.lost += 1
+            self.stations[index].inbox.append(Operation(Code.ARBITRATION_LOST, (frame.id,)))
+        del pending[len(pending) - withdrawn :]
+
+
+def _same(sent: Frame, heard: Frame) -> bool:
+    """True if `heard` is `sent` with the flag OWN, perhaps padded."""
+    size = len(sent.data)
+    return sent.id == heard.id and sent.data == heard.data[:size] and (sent.flags ^ heard.flags) & FD == 0

@@ -1,0 +1,208 @@
+"""Node: one CAN FMU in this process, in the event mode of FMI 3.0.
+
+Times are whole ns from the start of the simulation. The FMU can crash this process, as any FMU.
+"""
+
+import contextlib
+import ctypes as ct
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, Self
+
+from fmpy.simulation import instantiate_fmu
+
+from drivers.errors import PlantError
+from plant_fmu.fmu.archive import extract, open_archive
+from plant_fmu.network.terminal import CanFmu
+
+_ROUNDS = 1000
+"""Most event iterations at one instant; an FMU that wants more does not settle."""
+_WARNING = 1
+_CHANGED = 2
+"""fmi3IntervalChanged."""
+
+
+class Node:
+    """One CAN FMU with its bus terminal.
+
+    Mutable state: the FMU instance and its unpacked files; `reached_ns`, the time that it has reached;
+    `due_ns`, the time of its next countdown, None without one; whether its last step wants an event.
+    """
+
+    def __init__(self, fmu: CanFmu, name: str, *, notifications: bool = True) -> None:
+        """Unpack, load and initialise the FMU at time 0; it is then in event mode.
+
+        notifications: set its parameter BusNotifications, if it has one. Raises PlantError.
+        """
+        self.name, self.fmu, self.terminal = name, fmu, fmu.terminal
+        self.reached_ns, self.due_ns, self._wants_event = 0, None, True
+        self._slave: Any = None
+        self._in_event_mode = True
+        self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
+        terminal = self.terminal
+        self._references = {
+            each: (ct.c_uint32 * 1)(each)
+            for each in (terminal.rx_data, terminal.rx_clock, terminal.tx_data, terminal.tx_clock)
+        }
+        self._clock, self._on = (ct.c_bool * 1)(), (ct.c_bool * 1)(True)
+        self._interval, self._qualifier = (ct.c_double * 1)(), (ct.c_int * 1)()
+        self._flags, self._reals = (ct.c_bool * 5)(), (ct.c_double * 1)()
+        self._flag_at = [ct.cast(ct.byref(self._flags, k), ct.POINTER(ct.c_bool)) for k in range(5)]
+        self._bytes = ct.POINTER(ct.c_uint8)
+        self._size, self._value = (ct.c_size_t * 1)(), (ct.POINTER(ct.c_uint8) * 1)()
+        try:
+            with open_archive(fmu.path) as archive:
+                extract(archive, fmu.path, Path(self._folder.name))
+            self._load(notifications)
+        except BaseException:
+            self.close()
+            raise
+
+    due_ns: int | None
+
+    def _load(self, notifications: bool) -> None:
+        here = Path.cwd()
+        try:
+            with contextlib.redirect_stdout(sys.stderr):  # fmpy prints messages that it cannot format
+                slave = self._slave = instantiate_fmu(
+                    self._folder.name,
+                    self.fmu.description,
+                    "CoSimulation",
+                    logger=lambda *_: None,
+                    library_path=str(Path(self._folder.name) / self.fmu.library),
+                    event_mode_used=True,
+                    early_return_allowed=True,
+                )
+            self._functions = slave._functions  # noqa: SLF001 - fmpy's only table of them
+            switch = self.terminal.notifications
+            if notifications and switch is not None:
+                if self.terminal.structural:
+                    slave.enterConfigurationMode()
+                slave.setBoolean([switch], [True])
+                if self.terminal.structural:
+                    slave.exitConfigurationMode()
+            slave.enterInitializationMode(startTime=0.0)
+            slave.exitInitializationMode()
+        except Exception as error:  # fmpy raises many types
+            raise PlantError(f"{self.fmu.path}: the CAN FMU cannot be started: {error}") from error
+        finally:
+            os.chdir(here)  # fmpy stays in the library's folder when loading fails
+
+    def next_ns(self) -> int | None:
+        """Next time, ns, at which it has to be stepped for its own sake; None if it only reacts."""
+        return self.reached_ns if self._wants_event else self.due_ns
+
+    def advance(self, to_ns: int) -> None:
+        """Step to `to_ns`; an FMU of fixed step takes its last whole step before. Raises PlantError."""
+        if self.fmu.step_ns:
+            to_ns -= to_ns % self.fmu.step_ns
+        if to_ns <= self.reached_ns:
+            return
+        self._step_mode()
+        for _ in range(_ROUNDS):
+            begin_ns = self.reached_ns
+            size_ns = self.fmu.step_ns or to_ns - begin_ns
+            self._call("fmi3DoStep", begin_ns * 1e-9, size_ns * 1e-9, True, *self._flag_at[:3], self._reals)
+            event, ended, early, *_ = self._flags
+            last_s = self._reals[0]
+            if ended:
+                raise PlantError(f"{self.fmu.path}: the FMU ended the simulation at {last_s:.9g} s")
+            self.reached_ns = round(last_s * 1e9) if early else begin_ns + size_ns
+            if self.reached_ns >= to_ns:
+                self._wants_event = bool(event)
+                return
+            if event:  # an event of its own: a bus communication point is only at the end of a step
+                self._event_mode()
+                self._update()
+                self._step_mode()
+        raise PlantError(f"{self.fmu.path}: the FMU returns early from each step at {self.reached_ns} ns")
+
+    def exchange(self, received: bytes) -> bytes:
+        """Event at the time that it has reached: give it `received`, return what it sends; both may be empty.
+
+        Does nothing if there is nothing to give, no countdown is due and its last step wants no event.
+        Raises PlantError.
+        """
+        due = self.due_ns is not None and self.due_ns <= self.reached_ns
+        if not (received or due or self._wants_event):
+            return b""
+        self._event_mode()
+        terminal, parts = self.terminal, []
+        if due:
+            self.due_ns = None
+            self._set_clock(terminal.tx_clock)
+        if received:
+            self._set_clock(terminal.rx_clock)
+            content = ct.create_string_buffer(received, len(received))
+            self._value[0], self._size[0] = ct.cast(content, self._bytes), len(received)
+            self._call("fmi3SetBinary", self._references[terminal.rx_data], 1, self._size, self._value, 1)
+        for _ in range(_ROUNDS):
+            if due if terminal.countdown else self._triggered():
+                self._call("fmi3GetBinary", self._references[terminal.tx_data], 1, self._size, self._value, 1)
+                parts.append(ct.string_at(self._value[0], self._size[0]) if self._size[0] else b"")
+            again, due = self._update(), False
+            if not again:
+                self._wants_event = False
+                return b"".join(parts)
+        raise PlantError(f"{self.fmu.path}: its discrete states do not settle at {self.reached_ns} ns")
+
+    def _triggered(self) -> bool:
+        self._call("fmi3GetClock", self._references[self.terminal.tx_clock], 1, self._clock)
+        return bool(self._clock[0])
+
+    def _set_clock(self, reference: int) -> None:
+        self._call("fmi3SetClock", self._references[reference], 1, self._on)
+
+    def _update(self) -> bool:
+        """End one event iteration and read the countdown; True if another iteration is needed."""
+        self._call("fmi3UpdateDiscreteStates", *self._flag_at, self._reals)
+        again, ended, *_ = self._flags
+        if ended:
+            raise PlantError(f"{self.fmu.path}: the FMU ended the simulation at {self.reached_ns} ns")
+        if self.terminal.countdown:
+            reference = self._references[self.terminal.tx_clock]
+            self._call("fmi3GetIntervalDecimal", reference, 1, self._interval, self._qualifier)
+            if self._qualifier[0] == _CHANGED:
+                wait_s = self._interval[0]
+                if not 0.0 <= wait_s < 1e9:
+                    raise PlantError(f"{self.fmu.path}: its Tx_Clock counts down from {wait_s:g} s")
+                self.due_ns = self.reached_ns + round(wait_s * 1e9)
+        return bool(again)
+
+    def _event_mode(self) -> None:
+        if not self._in_event_mode:
+            self._call("fmi3EnterEventMode")
+            self._in_event_mode = True
+
+    def _step_mode(self) -> None:
+        if self._in_event_mode:
+            self._call("fmi3EnterStepMode")
+            self._in_event_mode = False
+
+    def _call(self, function: str, *arguments: Any) -> None:
+        if self._slave is None:
+            raise PlantError(f"{self.fmu.path}: the FMU is closed")
+        status = self._functions[function](self._slave.component, *arguments)
+        if status > _WARNING:
+            raise PlantError(
+                f"{self.fmu.path}: {function} failed with fmi3Status {status} at {self.reached_ns} ns"
+            )
+
+    def close(self) -> None:
+        """Terminate and free the FMU, remove the unpacked files. A second call does nothing."""
+        slave, self._slave = self._slave, None
+        try:
+            if slave is not None and getattr(slave, "component", None):
+                with contextlib.suppress(Exception):  # in its error state it refuses; it is freed anyway
+                    slave.terminate()
+                slave.freeInstance()
+        finally:
+            self._folder.cleanup()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()

@@ -1,0 +1,163 @@
+"""Bus terminal of a CAN FMU: its four variables, read from terminalsAndIcons.xml and checked."""
+
+import math
+import xml.etree.ElementTree as ET
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.errors import PlantError
+from plant_fmu.fmu.archive import MAX_XML_BYTES, open_archive
+from plant_fmu.fmu.check import MAX_REFERENCE, described, library, major, shown
+
+KIND, RULE = "org.fmi-ls-bus.network-terminal", "org.fmi-ls-bus.transceiver"
+MIME = "application/org.fmi-standard.fmi-ls-bus.can"
+_FILE = "terminalsAndIcons/terminalsAndIcons.xml"
+_MEMBERS = {
+    "Rx_Data": ("Binary", ("input",), (None,)),
+    "Rx_Clock": ("Clock", ("input",), ("triggered",)),
+    "Tx_Data": ("Binary", ("output",), (None,)),
+    "Tx_Clock": ("Clock", ("input", "output"), ("triggered", "countdown")),
+}
+"""Member name -> (type, causalities, interval variabilities)."""
+
+
+@dataclass(frozen=True)
+class BusTerminal:
+    """Value references of one CAN network of an FMU."""
+
+    name: str
+    rx_data: int
+    rx_clock: int
+    tx_data: int
+    tx_clock: int
+    countdown: bool
+    """True if the Tx clock is an input of kind countdown, False if it is a triggered output."""
+    most_bytes: int
+    """Largest binary that Rx_Data takes; a large number if the FMU states none."""
+    notifications: int | None
+    """Boolean parameter BusNotifications; None if the FMU has none that can be set."""
+    structural: bool
+    """True if BusNotifications is set in configuration mode."""
+
+
+@dataclass(frozen=True)
+class CanFmu:
+    """A CAN FMU as its description declares it, before any of its code is loaded."""
+
+    path: Path
+    description: Any
+    """ModelDescription of fmpy."""
+    library: str
+    terminal: BusTerminal
+    step_ns: int
+    """Length, ns, of its communication steps; 0 if it takes any."""
+
+
+def read_can_fmu(path: Path, terminal: str = "") -> CanFmu:
+    """Read and check the CAN FMU at `path`.
+
+    terminal: name of one of its CAN terminals; empty for its only one.
+
+    The version in MIME types is not compared: nodes of the beta releases have the same bytes. Raises
+    PlantError with the terminals or the property that does not fit.
+    """
+    description = described(path)
+    interface = description.coSimulation
+    if major(description) < 3 or not interface.hasEventMode:
+        raise PlantError(
+            f"{path}: a CAN FMU is FMI 3.0 with hasEventMode; this is FMI {description.fmiVersion}"
+        )
+    if interface.needsExecutionTool:
+        raise PlantError(f"{path}: the FMU needs its tool at run time; export a stand-alone FMU")
+    with open_archive(path) as archive:
+        names = archive.namelist()
+        root, declared = (_parsed(path, archive, names, file) for file in (_FILE, "modelDescription.xml"))
+    variables = {each.get("name", ""): each for each in declared.iterfind("ModelVariables/*")}
+    can = {
+        each.get("name", ""): each
+        for each in root.iter("Terminal")
+        if each.get("terminalKind") == KIND and each.get("matchingRule") == RULE and _is_can(each, variables)
+    }
+    chosen = [name for name in can if terminal in {"", name}]
+    if len(chosen) != 1:
+        offered = shown(", ".join(can)) or "none"
+        raise PlantError(f"{path}: CAN terminals: {offered}; choose one with FILE.fmu:TERMINAL")
+    stated = None if description.defaultExperiment is None else description.defaultExperiment.stepSize
+    fixed = float(interface.fixedInternalStepSize or stated or 0.001)
+    if not 1e-9 <= fixed < math.inf:
+        raise PlantError(f"{path}: its step is {fixed:g} s; at least 1 ns is needed")
+    variable = interface.canHandleVariableCommunicationStepSize
+    return CanFmu(
+        path=path,
+        description=description,
+        library=library(description, names, path),
+        terminal=_terminal(path, can[chosen[0]], variables),
+        step_ns=0 if variable else round(fixed * 1e9),
+    )
+
+
+def _parsed(path: Path, archive: zipfile.ZipFile, names: list[str], file: str) -> ET.Element:
+    if file not in names or archive.getinfo(file).file_size > MAX_XML_BYTES:
+        raise PlantError(f"{path}: no {file}, or it is too large; a CAN FMU declares its bus terminals there")
+    try:
+        return ET.fromstring(archive.read(file))  # noqa: S314 - no other file is read, and the size is bounded
+    except (ET.ParseError, zipfile.BadZipFile) as error:
+        raise PlantError(f"{path}: {file} cannot be read: {error}") from error
+
+
+def _members(node: ET.Element) -> dict[str, str]:
+    found = node.iterfind("TerminalMemberVariable")
+    return {each.get("memberName", ""): each.get("variableName", "") for each in found}
+
+
+def _is_can(node: ET.Element, variables: dict[str, ET.Element]) -> bool:
+    data = variables.get(_members(node).get("Tx_Data", ""))
+    return data is not None and data.get("mimeType", "").split(";")[0].strip() == MIME
+
+
+def _terminal(path: Path, node: ET.Element, variables: dict[str, ET.Element]) -> BusTerminal:
+    name, members = node.get("name", ""), _members(node)
+    found: dict[str, ET.Element] = {}
+    for member, (kind, causalities, intervals) in _MEMBERS.items():
+        variable = variables.get(members.get(member, ""))
+        fits = (
+            variable is not None and variable.tag == kind and variable.get("intervalVariability") in intervals
+        )
+        if variable is None or not fits or variable.get("causality", "local") not in causalities:
+            raise PlantError(
+                f"{path}: terminal {shown(name)}: {member} is missing or not of type {kind}, causality "
+                f"{' or '.join(causalities)}, intervalVariability {' or '.join(map(str, intervals))}"
+            )
+        found[member] = variable
+    clock = found["Tx_Clock"]
+    countdown = clock.get("intervalVariability") == "countdown"
+    if (clock.get("causality") == "input") != countdown:
+        raise PlantError(
+            f"{path}: terminal {shown(name)}: Tx_Clock is a countdown input or a triggered output"
+        )
+    inner = [_members(each).get("BusNotifications", "") for each in node.iterfind("Terminal")]
+    switch = next((variables[each] for each in inner if each in variables), None)
+    causality = "" if switch is None else switch.get("causality", "local")
+    settable = switch is not None and causality in {"parameter", "structuralParameter"}
+    rx_data, rx_clock, tx_data, tx_clock = (_reference(path, found[each]) for each in _MEMBERS)
+    size = found["Rx_Data"].get("maxSize", "")
+    return BusTerminal(
+        name=name,
+        rx_data=rx_data,
+        rx_clock=rx_clock,
+        tx_data=tx_data,
+        tx_clock=tx_clock,
+        countdown=countdown,
+        most_bytes=int(size) if size.isdigit() and int(size) else 1 << 20,
+        notifications=_reference(path, switch) if switch is not None and settable else None,
+        structural=causality == "structuralParameter",
+    )
+
+
+def _reference(path: Path, variable: ET.Element) -> int:
+    stated = variable.get("valueReference", "")
+    if stated.isascii() and stated.isdigit() and int(stated) <= MAX_REFERENCE:
+        return int(stated)
+    raise PlantError(f"{path}: variable {variable.get('name')!r} has the valueReference {stated!r}")

@@ -17,7 +17,7 @@ def test_every_row_of_the_table_has_its_log():
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_frozen_log_replays_to_the_bit(name):
+def test_frozen_log_replays_with_equal_bits(name):
     found = replay_case(FOLDER / f"{name}.mcap")
     assert found.verdict == "pass", found.text
 

@@ -38,7 +38,7 @@ def test_log_whose_messages_are_out_of_order_is_refused(log, order, command, tmp
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_large_attachment_of_another_tool_is_passed_over(log, command, tmp_path, monkeypatch):
+def test_log_commands_accept_a_large_attachment_of_another_program(log, command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "other.mcap"
     rewrite_log(log, path, attached=VIDEO)

@@ -171,7 +171,7 @@ def test_replay_on_another_processor_may_differ_by_a_billionth(
     assert (fields["agrees"], fields["replayed_on"]) == (there, "another one")
 
 
-def test_replay_has_the_story_of_its_latched_faults(entries):
+def test_replay_result_explains_each_fault_latched_in_the_log(entries):
     begun = next(k for k, entry in enumerate(entries) if entry.row["mode"] == Mode.LOADING)
     verdict = verdict_on(with_row(entries[: begun + 50], begun + 5, bus_off=1))
     assert verdict.story is not None
@@ -236,7 +236,7 @@ def recorded(frames=(), operator=(), setpoints=(), orders=(), **columns):
     return Tick(row, frames, (), operator, setpoints, orders)
 
 
-def test_every_recorded_input_is_restored_in_its_place():
+def test_replay_restores_every_recorded_input_to_its_own_field():
     frames = (Received(7, Frame(0x181, b"\x01")), Received(9, Frame(0x182, b"\x02")))
     setpoints: Any = ("a pose", "another")
     orders: Any = ("an order",)
@@ -265,7 +265,7 @@ NOTICED = {
 
 
 @pytest.mark.parametrize("name", NOTICED)
-def test_every_changed_input_is_noticed_by_the_next_tick(entries, name):
+def test_replay_differs_by_the_next_tick_after_any_input_is_changed(entries, name):
     assert set(INPUT_COLUMNS) - set(NOTICED) == {"tick", "skipped", "bus_state", "compute_ns"}
     verdict = compared(entries, **{name: NOTICED[name]})
     assert not verdict.exact

@@ -44,7 +44,7 @@ def suite(folder, *words):
     return CliRunner().invoke(main, ["replay", "--suite", str(folder), "--jobs", "1", *map(str, words)])
 
 
-def test_every_log_is_a_case_and_a_bad_log_does_not_end_the_suite(folder, tmp_path):
+def test_replay_suite_reports_every_log_of_a_folder_despite_bad_logs(folder, tmp_path):
     result = suite(folder, "--json", tmp_path / "a.json", "--junit", tmp_path / "a.xml")
     assert result.exit_code == 1, result.output
     found = json.loads((tmp_path / "a.json").read_text())
@@ -95,7 +95,7 @@ def test_interrupt_prints_the_table_of_finished_logs(folder, monkeypatch):
 
 
 @pytest.mark.long
-def test_two_processes_give_the_same_verdicts_as_one(folder):
+def test_replay_suite_gives_equal_results_with_one_and_two_processes(folder):
     found = [
         sorted((case.log, case.verdict, case.text) for case in run_suite(logs_in(folder), jobs, None))
         for jobs in (1, 2)

@@ -56,7 +56,7 @@ def tamper(log, target, frame_type, tick, byte, mask=0x01):
     assert changed == [tick]
 
 
-def test_unchanged_copy_replays(log, tmp_path):
+def test_replay_accepts_an_unchanged_copy_of_a_log(log, tmp_path):
     rewrite_log(log, tmp_path / "copy.mcap")
     result = replayed(tmp_path / "copy.mcap")
     assert result.exit_code == 0, result.output
@@ -73,7 +73,7 @@ def test_log_without_its_last_ticks_is_a_failure(log, tmp_path):
 
 
 @pytest.mark.parametrize(("mode", "byte"), [(Mode.IDLE, 5), (Mode.TRACKING, 0), (Mode.PARKED, 11)])
-def test_changed_byte_is_found_at_rest_and_in_motion(log, frame_type, tmp_path, mode, byte):
+def test_replay_detects_a_changed_byte_at_rest_and_in_motion(log, frame_type, tmp_path, mode, byte):
     rows = Log.open(log).rows()
     ticks = rows["tick"][rows["mode"] == mode]
     tick = int(ticks[len(ticks) // 2])
@@ -90,7 +90,7 @@ def test_changed_byte_is_found_at_rest_and_in_motion(log, frame_type, tmp_path, 
 
 
 @pytest.mark.parametrize(("direction", "index"), [(RECEIVED, 0), (SENT, 7)])
-def test_removed_frame_is_found(log, frame_type, tmp_path, direction, index):
+def test_replay_detects_a_frame_removed_from_the_log(log, frame_type, tmp_path, direction, index):
     tick = 300
 
     def edit(topic, data, _sequence):

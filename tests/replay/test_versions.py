@@ -42,7 +42,7 @@ def recorded(path, columns=RECORDED, **files):
 
 
 @pytest.mark.parametrize("command", [["replay"], ["replay", "--salvage", "x.mcap"]], ids=str)
-def test_log_of_0_1_0_is_refused_and_its_version_is_named(command, tmp_path, monkeypatch):
+def test_log_commands_refuse_a_log_of_version_0_1_0_and_report_it(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(main, [*command, str(OLD)])
     assert result.exit_code == 2

@@ -102,7 +102,7 @@ TABS: dict[str, dict[str, tuple[str, ...]]] = {
     "Motion": {"Leg length": ("q_d", "q"), "Leg rate": ("dq_d", "dq"), "Position": ("p_d", "p")},
     "Certificate": {
         "Lyapunov function": ("lyapunov", "lyapunov_bound"),
-        "Share": ("lyapunov_share", "encoder_share"),
+        "Share": ("lyapunov_share", "encoder_share", "sensor_share"),
     },
     "Timing": {
         TIMES: ("lateness_ns", "compute_ns"),

@@ -17,7 +17,7 @@ BUDGETS = {
     "hil/config hil/app/configuration": (3_930, 25_700),
     "hil/design hil/proof": (6_150, 56_700),
     "hil/lab": (8_010, 67_800),
-    "hil/study": (8_050, 65_250),
+    "hil/study": (8_060, 65_300),
     "hil/app": (11_220, 82_750),
     "hil/cli": (2_370, 12_200),
     "hil/contracts": (1_720, 14_900),

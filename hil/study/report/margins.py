@@ -60,6 +60,7 @@ def margins(rows: Rows, c: Configuration, rate_Hz: float) -> list[Margin]:
     share, confirm = rows["lyapunov_share"], c.monitor.confirm_ticks
     age = _counted_age(rows, mode, c)
     encoder = "encoder length against its rate, as a share of the limit"
+    sensor = "mean difference of a sensor from the legs, as a share of its limit"
     certified = f"Lyapunov function, sqrt(V) of an axis as a share of its limit, {confirm} ticks in a row"
     judged: list[Judged] = [
         *_forces(rows, c, rate_Hz, powered & well),
@@ -69,11 +70,19 @@ def margins(rows: Rows, c: Configuration, rate_Hz: float) -> list[Margin]:
         ("condition number of J", "limits.condition", rows["condition"], "condition", powered),
         ("age of a leg's feedback", "limits.stale_fault_ticks", age, "age", powered),
         (encoder, "monitor.length_noise_m", rows["encoder_share"], "", sampled, 1.0),
+        (sensor, "sensors", _against_legs(rows), "", powered, 1.0),
         (certified, "monitor", _lasting(share, confirm), "", powered & np.isfinite(share), 1.0),
         *_fused(rows, c, rate_Hz, powered),
         *_loop(rows, c, powered),
     ]
     return sorted(filter(None, (_nearest(c, *each) for each in judged)), key=lambda m: -m.used_percent)
+
+
+def _against_legs(rows: Rows) -> Array:
+    """Largest `sensor_share` (n,) of the sensors that send; nan without one."""
+    share = np.where(np.isinf(rows["sensor_share"]), np.nan, rows["sensor_share"])
+    found: Array = np.fmax.reduce(share, axis=1)
+    return found
 
 
 def _forces(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Iterator[Judged]:

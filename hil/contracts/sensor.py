@@ -34,7 +34,7 @@ _SETUP = DriveSetup(0.05, Reaction.BRAKE, RATE_Hz)
 _NO_WRENCH = ExternalWrench(None, None, 1.0 / RATE_Hz)
 
 
-def _hear(heard: Reception, frames: Rows, number: int, t_ns: int) -> None:
+def hear_frames(heard: Reception, frames: Rows, number: int, t_ns: int) -> None:
     """Read the samples among the frames of a tick that begins, and latches, at `t_ns`."""
     tick, R, frames = new_record(), np.eye(3), np.ascontiguousarray(frames)
     tick["tick"], tick["t_ns"] = number, t_ns
@@ -131,7 +131,7 @@ class SensorContract:
             replies = joined([nodes.advance(t_ns, sent), nodes.advance(t_ns + MS - 1, sent[:0])])
             got, late = _split(joined([late, replies]), t_ns + MS)
             ours = got[np.isin(got["id"], protocol.tables.rows["id"])]
-            _hear(heard, ours, tick, t_ns)
+            hear_frames(heard, ours, tick, t_ns)
             rejected += int(heard.record["rejected"])
             frames.append(ours)
             for k in range(int(heard.slots["count"][slot])):
@@ -185,7 +185,7 @@ class SensorContract:
                 )
                 for k, row in enumerate(table)
             ]
-            _hear(heard, received_array(broken), tick, tick * MS)
+            hear_frames(heard, received_array(broken), tick, tick * MS)
         assert int(heard.record["rejected"]) >= 0
         last = heard.slots["last"][next(iter(protocol.sensors))]
         assert not np.isinf(last).any()
@@ -198,7 +198,7 @@ class SensorContract:
         for change in ("flags", "bus"):
             other = ours.copy()
             other[change] ^= flag if change == "flags" else 1
-            _hear(heard, other[:100], 100, 0)
+            hear_frames(heard, other[:100], 100, 0)
             assert (heard.slots["count"].sum(), int(heard.record["rejected"])) == (0, 0)
 
 

@@ -23,7 +23,7 @@ BUDGETS = {
     "hil/contracts": (1_720, 14_900),
     "tools": (2_706, 21_550),
     "configs": (210, 1_900),
-    "tests": (74_365, 662_900),
+    "tests": (74_510, 664_250),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

@@ -63,7 +63,7 @@ def toward(leg, way):
         (("force",), np.abs(MODEL.inverse_dynamics(P, R, STILL, STILL)).max(), 0.0, Refusal.FORCE),
     ],
 )
-def test_poses_and_paths_exactly_at_a_limit_are_allowed(fields, most, stricter, refusal):
+def test_poses_and_paths_are_accepted_at_a_limit_and_refused_just_beyond_it(fields, most, stricter, refusal):
     judge = admission(**ROOMY)
     for limit, expected in ((most, 0), (np.nextafter(most, stricter), refusal)):
         for name in fields:
@@ -75,11 +75,11 @@ def test_poses_and_paths_exactly_at_a_limit_are_allowed(fields, most, stricter, 
 # -- set-points
 
 
-def test_the_force_limit_at_home_is_the_books_static_force():
+def test_home_pose_is_refused_if_the_force_limit_is_below_the_textbook_static_force():
     assert admission()(HOME) == 0
     assert admission(force_N=STATIC * (1 + 1e-6))(HOME) == 0
     assert admission(force_N=STATIC * (1 - 1e-6))(HOME) == Refusal.FORCE
-    assert admission(rated=STATIC * 0.99)(HOME) == Refusal.FORCE, "of the drives"
+    assert admission(rated=STATIC * 0.99)(HOME) == Refusal.FORCE, "the rated force of the drives limits, too"
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -202,7 +202,7 @@ def test_a_path_with_non_finite_motion_is_refused(part, word):
     ("twist", "stop_s"),
     [((0.2, 0, 0, 0, 0, 0), 0.5), ((0, 0, -0.3, 0, 0, 0), 2.0), ((0, 0, 0, 0, 0, 0.5), 0.1)],
 )
-def test_the_bound_on_force_changes_of_a_jog_holds_and_is_tight(twist, stop_s, share, steepest):
+def test_bound_on_force_changes_of_a_jog_within_250_ms_holds_and_is_tight(twist, stop_s, share, steepest):
     """Forces of the motion: at rest, at the steepest sigma', at speed, at its steepest fall, 250 ms later.
 
     With |sigma''| <= 4.5 / T^2 a change by s has sigma' of up to sqrt(4.5 s) / T, and of 1.5 / T at most.
@@ -222,14 +222,14 @@ def test_the_bound_on_force_changes_of_a_jog_holds_and_is_tight(twist, stop_s, s
     assert 0.8 * bound < seen <= bound * (1 + 1e-9)
 
 
-def test_a_jog_may_change_a_force_by_exactly_the_window():
+def test_jog_is_refused_if_it_changes_a_leg_force_by_more_than_force_window_N():
     there = PoseSample(P, R, np.array([0.2, -0.1, 0.1, 0.3, 0.2, -0.3]), STILL)
     change = admission().change_N(there, 0.5)
     assert change > 1.0
     assert not admission(force_window_N=change).too_sudden(there, 0.5)
     assert admission(force_window_N=np.nextafter(change, 0.0)).too_sudden(there, 0.5)
     assert admission().change_N(there, 0.0) == 0.0
-    assert admission().too_sudden(there._replace(twist=np.full(6, np.nan)), 1.0), "not finite"
+    assert admission().too_sudden(there._replace(twist=np.full(6, np.nan)), 1.0), "twist is not finite"
 
 
 # -- steering
@@ -281,10 +281,10 @@ def test_an_invalid_set_point_is_refused_and_the_earlier_one_stays(steering):
     assert steering.counts == Counts(1, 1, Refusal.STROKE)
     assert steering.answers == [Refusal.STROKE]
     assert go(steering, 3, 2000)[0] == pytest.approx(0.1, abs=1e-14)
-    assert steering.counts == Counts(1, 1, 0), "said once, counted for good"
+    assert steering.counts == Counts(1, 1, 0), "the refusal is reported once but stays counted"
 
 
-def test_the_last_valid_set_point_of_a_tick_is_followed(steering):
+def test_last_valid_set_point_of_several_in_one_tick_is_followed(steering):
     move(steering, (at(0.1), at(-0.1), at(9.0)), 1)
     assert steering.answers == [0, 0, Refusal.STROKE]
     assert steering.counts == Counts(2, 1, Refusal.STROKE)
@@ -296,10 +296,10 @@ def test_set_points_outside_tracking_are_refused(steering):
     assert steering.answers == [Refusal.NOT_TRACKING]
     steering.trajectory.reset()
     assert go(steering, 1, 500)[0] == 0.0
-    assert steering.counts == Counts(0, 1, 0), "a restart forgets the place, not the count"
+    assert steering.counts == Counts(0, 1, 0), "a reset of the trajectory must not clear the count"
 
 
-def test_the_platform_stops_before_a_wall_which_is_counted_once(steering):
+def test_platform_stops_before_a_force_limit_and_counts_one_refused_set_point(steering):
     move(steering, (at(0.0, 0.1),), 1)
     refusals = []
     for tick in range(2, 2000):

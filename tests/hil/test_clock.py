@@ -26,7 +26,7 @@ def policy() -> int:
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
 
 
-def test_deadlines_are_absolute_keep_phase_and_are_never_early() -> None:
+def test_tick_deadlines_are_absolute_keep_their_phase_and_are_never_early() -> None:
     start = time.monotonic_ns() + 2 * MS
     deadlines = Deadlines(500.0, 100.0, start_ns=start)
     wakes = []
@@ -55,7 +55,7 @@ class Hands(Clock):
 
 
 @pytest.mark.parametrize("start_ns", [0, 5_000_000_000, 10**18])
-def test_a_late_loop_continues_with_the_current_period(start_ns: int) -> None:
+def test_late_loop_continues_with_the_current_period_and_skips_the_missed_ones(start_ns: int) -> None:
     hands = Hands(start_ns - 700_000)
     deadlines = Deadlines(1000.0, 12.5, start_ns, hands)
     assert deadlines.wait() == Wake(0, start_ns, 30_000, 0)
@@ -68,7 +68,7 @@ def test_a_late_loop_continues_with_the_current_period(start_ns: int) -> None:
     ]:
         hands.t_ns += busy_ns
         assert deadlines.wait() == Wake(tick, start_ns + tick * MS, lateness_ns, skipped)
-    assert hands.spun_ns == {12_500}, "us in a configuration"
+    assert hands.spun_ns == {12_500}, "spin_us of the configuration is in microseconds"
     assert Deadlines(1000.0, 0.0, None, hands).start_ns == hands.t_ns + 2 * MS
 
 
@@ -82,7 +82,7 @@ def thawed() -> Iterator[None]:
 
 @pytest.mark.usefixtures("thawed")
 @pytest.mark.parametrize("raises", [False, True])
-def test_real_time_reports_each_right_once_and_undoes_all(raises: bool) -> None:
+def test_real_time_mode_reports_each_system_privilege_once_and_reverts_all_at_its_end(raises: bool) -> None:
     affinity = os.sched_getaffinity(0)
     with contextlib.suppress(ZeroDivisionError), real_time(1, None) as report:
         assert not gc.isenabled()
@@ -100,7 +100,7 @@ def test_real_time_reports_each_right_once_and_undoes_all(raises: bool) -> None:
 
 
 @pytest.mark.usefixtures("thawed")
-def test_real_time_collects_garbage_and_freezes_live_objects() -> None:
+def test_real_time_mode_collects_garbage_and_freezes_live_objects() -> None:
     class Node:
         """An object that may refer to itself."""
 
@@ -115,7 +115,7 @@ def test_real_time_collects_garbage_and_freezes_live_objects() -> None:
     gc.freeze()
     with real_time(1, None):
         pass
-    assert gc.get_freeze_count() > 0, "what others had frozen stays so"
+    assert gc.get_freeze_count() > 0, "objects frozen before must stay frozen"
 
 
 class Kernel:
@@ -134,7 +134,7 @@ class Kernel:
         monkeypatch.setattr(clock, "_mlockall", lambda flags: self.did.append(("lock", flags)))
 
     def set(self, pid: int, policy: int, parameters: os.sched_param) -> None:
-        assert pid == 0, "this process"
+        assert pid == 0, "process id 0 means the calling process"
         if self.ordinary and self.now[0] & ~policy & os.SCHED_RESET_ON_FORK:
             raise PermissionError(1, "no right")
         self.now = policy, parameters.sched_priority
@@ -173,7 +173,7 @@ def no(*_: object) -> NoReturn:
 
 @pytest.mark.parametrize("fifo", [True, False])
 @pytest.mark.parametrize("others", [True, False])
-def test_granted_rights_are_reported_and_undone_missing_ones_explained(
+def test_granted_system_privileges_are_reported_and_reverted_and_missing_ones_explained(
     monkeypatch: pytest.MonkeyPatch, fifo: bool, others: bool
 ) -> None:
     """The process is pinned only together with SCHED_FIFO."""
@@ -234,7 +234,7 @@ def wakes(monkeypatch: pytest.MonkeyPatch) -> Any:
         ([(0, 0), (120_000_000, 3)], 0.123, 250.0),
     ],
 )
-def test_the_holdable_rate_survives_twice_the_worst_stall(
+def test_selected_loop_rate_tolerates_twice_the_worst_measured_stall(
     wakes: Any, found: list[tuple[int, int]], worst_s: float, rate_Hz: float
 ) -> None:
     """100 periods last 0.1 s at 1 kHz; skipped periods and lateness count together."""
@@ -256,7 +256,7 @@ def test_the_holdable_rate_survives_twice_the_worst_stall(
         (50.0, 5, 50.0),
     ],
 )
-def test_a_holdable_rate_survives_40_ms_and_is_at_least_100_Hz(
+def test_selected_loop_rate_tolerates_stalls_of_40_ms_and_is_at_least_100_Hz(
     wakes: Any, rate_Hz: float, periods: int, found_Hz: float
 ) -> None:
     wakes((0, 0))

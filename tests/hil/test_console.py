@@ -82,7 +82,7 @@ COUNTS_IN = {
 
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("word", COUNTS_IN)
-def test_each_word_is_accepted_only_in_its_modes_and_refused_elsewhere(cycle, ends, word, mode):
+def test_operator_command_is_accepted_only_in_its_modes_and_refused_in_others(cycle, ends, word, mode):
     where, commands = COUNTS_IN[word]
     desk = Desk(cycle, ends, mode)
     heard, (answer,) = desk.say(word)
@@ -116,7 +116,7 @@ def test_a_release_sent_before_the_first_tick_is_ignored(cycle, ends):
     assert Console(Course(cycle, armed=False), OperatorPanel(), channel).take().operator == ()
 
 
-def test_each_refused_word_is_logged_once_whatever_follows(cycle, ends):
+def test_refused_operator_command_is_logged_once_whatever_follows(cycle, ends):
     desk = Desk(cycle, ends, Mode.TRACKING)
     for line, answer in (
         ("arm", "refused: "),
@@ -139,7 +139,7 @@ def test_set_points_for_a_fixed_path_are_refused_in_their_own_tick(cycle, ends):
 
 
 @pytest.mark.parametrize("mode", [Mode.IDLE, Mode.TRACKING])
-def test_a_set_point_for_a_live_reference_is_passed_on_and_answered(ends, mode):
+def test_set_point_for_a_live_reference_is_passed_to_the_controller_and_answered(ends, mode):
     live, (channel, client) = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 1000.0, 0.01), ends
     console, log = Console(Course(live), OperatorPanel(), channel), Log()
     recording: Any = log
@@ -159,7 +159,7 @@ def test_a_set_point_for_a_live_reference_is_passed_on_and_answered(ends, mode):
 
 
 @pytest.mark.parametrize("channel", [None, SimpleNamespace(waited_for=False)], ids=["none", "silent"])
-def test_without_a_client_only_a_refused_set_point_is_logged(channel):
+def test_refused_set_point_without_a_connected_client_is_logged(channel):
     live = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 1000.0, 0.01)
     assert live.parts.steering is not None
     log: Any = Log()
@@ -271,7 +271,7 @@ UNKNOWN_TURN = QUARTER_TURN + np.array([[0.0, 0.0, np.nan], [0.0] * 3, [0.0] * 3
         ({"mode": Mode.PARKED, "word": ON_HOLD}, {"held": False}),
     ],
 )
-def test_a_status_figure_is_in_the_unit_of_its_key_and_null_where_unknown(given, expected):
+def test_status_values_are_in_the_unit_of_their_key_and_null_where_unknown(given, expected):
     found = status(**given)
     assert {key: found[key] for key in expected} == expected
     assert status()["rotation_vector_deg"] == pytest.approx([0.0, 0.0, 90.0])
@@ -301,6 +301,6 @@ def test_a_status_figure_is_in_the_unit_of_its_key_and_null_where_unknown(given,
         ({"mode": Mode.HELD}, "release"),
     ],
 )
-def test_the_status_reports_the_next_possible_command(given, text):
+def test_status_reports_the_operator_command_that_the_run_waits_for(given, text):
     found = waits_for(a_course(**given))
     assert found.startswith(text) if text else not found

@@ -66,7 +66,7 @@ def test_force_ramps_up_to_the_holding_force_against_closed_brakes(bench):
     np.testing.assert_allclose(bench.force, HOLDING_N, atol=0.05)
 
 
-def test_the_step_is_pure(bench):
+def test_controller_step_gives_equal_frames_and_rows_for_equal_inputs(bench):
     other = Bench()
     for _ in range(1500):
         operator = (Operator.ENGAGE,) if bench.cycle.mode is Mode.IDLE else ()
@@ -157,7 +157,7 @@ def test_a_fault_stays_latched_through_engage_and_is_cleared_by_reset(bench):
     assert bench.force.min() > 3000.0
     row = bench.step(bus_off=True).row
     assert (Mode(int(row["mode"])), Fault(int(row["faults"]))) == (Mode.FAULT, Fault.BUS)
-    assert not bench.force.any(), "in the tick of the fault"
+    assert not bench.force.any(), "the force must be zero in the tick of the fault"
     assert not row["tau"].any()
     for _ in range(50):
         bench.step((Operator.ENGAGE,))

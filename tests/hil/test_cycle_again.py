@@ -45,7 +45,7 @@ def on_the_way_back(speed: float) -> Cycle:
 
 @pytest.mark.parametrize("speed", [1.0, 0.5])
 @pytest.mark.parametrize("cause", ["operator", "safety", "fault"])
-def test_a_stop_during_the_return_holds_whatever_caused_or_follows_it(cause, speed):
+def test_stop_during_the_return_to_the_first_pose_holds_whatever_caused_or_follows_it(cause, speed):
     cycle = on_the_way_back(speed)
     for number in range(1, 300):
         ticked(cycle, number)
@@ -63,11 +63,11 @@ def test_a_stop_during_the_return_holds_whatever_caused_or_follows_it(cause, spe
         ticked(cycle, number, orders=said)
         if cycle.mode is not Mode.STOPPING:
             break
-        assert cycle.mode_tick == 300, "it begins once"
+        assert cycle.mode_tick == 300, "the mode must be entered once"
         heights.append(cycle.motion.sample(number).p[2])
     assert cycle.mode is Mode.PARKING
     assert number <= 300 + 1.34 * 1000.0 * VIRTUAL.engage.stop_s
-    assert np.diff(heights).max() <= 1e-12, "it goes on, and comes to rest"
+    assert np.diff(heights).max() <= 1e-12, "the platform must move in one direction only and come to rest"
     assert cycle.parts.home_p[2] + 0.01 < heights[-1] < begun
 
 
@@ -84,7 +84,7 @@ def on_the_path(text: str) -> Cycle:
 KEYED = VIRTUAL.text.replace("\nreference: ", "\noperator: {deadman_s: 0.1}\n\nreference: ")
 
 
-def test_the_return_to_the_first_pose_needs_the_key():
+def test_return_to_the_first_pose_needs_the_deadman_key():
     cycle = on_the_path(KEYED)
     for number in range(5000, 7500):
         said = (*(KEY,) * (number < 5100), *(PARK,) * (number == 5000))
@@ -113,7 +113,7 @@ def test_a_set_point_after_park_is_refused():
     assert bench.cycle.operating.parks
 
 
-def test_a_reset_and_a_stop_do_not_prove_brakes_that_were_open():
+def test_reset_and_stop_do_not_mark_brakes_as_proven_that_were_open():
     bench = a_bench()
     bench.until(Mode.APPROACH)
     modes = []
@@ -237,7 +237,7 @@ def held(cycle: Cycle, first: int, last: int, *orders: Order) -> None:
 
 @pytest.mark.parametrize("stop_s", [0.5, 4.0])
 @pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOPPING])
-def test_a_hold_just_before_the_end_lasts_until_start_which_parks(mode, stop_s):
+def test_hold_just_before_the_end_of_the_path_lasts_until_start_and_then_parks(mode, stop_s):
     cycle = under_way(mode, stop_s)
     held(cycle, 1, LATE)
     held(cycle, LATE, 6000, HOLD)
@@ -260,7 +260,7 @@ def parks(cycle: Cycle, first: int) -> list[Mode]:
 
 
 @pytest.mark.parametrize("word", ["stop", "park"])
-def test_after_a_hold_at_the_end_stop_parks_there_park_at_the_first_pose(word):
+def test_stop_after_a_hold_at_the_path_end_parks_there_and_park_at_the_first_pose(word):
     cycle = under_way(Mode.TRACKING, 0.5)
     held(cycle, 1, LATE)
     held(cycle, LATE, 2000, HOLD)

@@ -84,7 +84,7 @@ def facts_of(cycle: Cycle, monkeypatch: pytest.MonkeyPatch, tick: Any) -> Any:
 
 @pytest.mark.parametrize("lacks", ["", "turns", "set-up", "pose"])
 @pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.PARKED])
-def test_arming_needs_known_turns_drive_set_up_and_a_pose(cycle, monkeypatch, mode, lacks):
+def test_arming_needs_known_motor_turns_configured_drives_and_a_known_pose(cycle, monkeypatch, mode, lacks):
     cycle.mode = mode
     cycle.sight.located = lacks != "pose"
     monkeypatch.setattr(type(cycle.homing), "known", lacks != "turns")
@@ -96,7 +96,7 @@ def test_arming_needs_known_turns_drive_set_up_and_a_pose(cycle, monkeypatch, mo
 
 @pytest.mark.parametrize("mode", [Mode.HELD, Mode.TRACKING])
 @pytest.mark.parametrize("lacks", ["", "rest", "ramp"])
-def test_brakes_can_be_proven_only_for_a_held_platform_at_rest(cycle, monkeypatch, mode, lacks):
+def test_brakes_can_be_tested_after_a_fault_only_with_the_platform_at_rest(cycle, monkeypatch, mode, lacks):
     cycle.mode, cycle.faults = mode, Fault.DRIVE
     if lacks == "ramp":
         monkeypatch.setattr(cycle, "durations", cycle.durations._replace(load=0.0))
@@ -105,7 +105,7 @@ def test_brakes_can_be_proven_only_for_a_held_platform_at_rest(cycle, monkeypatc
 
 
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault], ids=lambda fault: fault.name)
-def test_after_a_fault_of_brake_or_measurement_no_brake_can_be_proven(cycle, monkeypatch, fault):
+def test_brakes_cannot_be_tested_after_a_fault_of_a_brake_or_a_measurement(cycle, monkeypatch, fault):
     """Except STALE: missing feedback alone does not prevent the proof."""
     cycle.mode = Mode.HELD
     believed = fault is Fault.STALE or fault not in {Fault.BRAKE, *UNSEEN}
@@ -115,7 +115,7 @@ def test_after_a_fault_of_brake_or_measurement_no_brake_can_be_proven(cycle, mon
 
 
 @pytest.mark.parametrize("under_control", [Fault.NONE, Fault.FOLLOWING])
-def test_legs_not_at_rest_are_braked_even_if_following_leads_to_a_stop(cycle, monkeypatch, under_control):
+def test_legs_that_are_not_at_rest_after_a_stop_are_braked_with_a_fault(cycle, monkeypatch, under_control):
     monkeypatch.setattr(cycle, "_under_control", under_control)
     monkeypatch.setattr(cycle.motion, "overdue", lambda *_: True)
     cycle.mode = Mode.STOPPING
@@ -127,7 +127,7 @@ def test_legs_not_at_rest_are_braked_even_if_following_leads_to_a_stop(cycle, mo
     ("mode", "word", "leads"),
     [(Mode.LOADING, Operator.RESET, Mode.FAULT), (Mode.PARKING, Operator.RELEASE, Mode.HELD)],
 )
-def test_a_command_in_the_tick_of_a_drive_fault_does_not_act_on_the_fault(cycle, mode, word, leads):
+def test_operator_command_in_the_tick_of_a_drive_fault_does_not_act_on_the_fault(cycle, mode, word, leads):
     """A RELEASE given before the platform was held must not release it."""
     cycle.mode, late = mode, round(1000.0 * (cycle.durations.least(mode) + 1.0)) + 2
     cycle.faults = Fault.SET_UP
@@ -178,7 +178,7 @@ def test_estop_follows_its_fault_or_a_second_controller_of_powered_drives(
     assert cycle.faults == fault | latched
     cycle._latch(said(Operator.ESTOP), Verdict(Warn.NONE, Fault.NONE, Stop.NONE))
     assert (cycle.mode, cycle.estop) == (Mode.FAULT, True)
-    assert cycle.faults == fault | latched | Fault.ESTOP, "the operator's is a fault of its own"
+    assert cycle.faults == fault | latched | Fault.ESTOP, "ESTOP of the operator is a separate fault"
 
 
 @pytest.mark.parametrize(
@@ -265,7 +265,7 @@ def stepped(bench: Bench, mode: Mode, faults: Fault = Fault.NONE) -> Any:
         (Mode.TRACKING, Fault.NONE, True, False, False),
     ],
 )
-def test_fixed_forces_bypass_the_law_and_drives_are_watched_by_mode(
+def test_fixed_forces_bypass_the_law_and_drive_response_is_checked_by_mode(
     bench, monkeypatch, mode, faults, yields, fixed, watched
 ):
     cycle, seen, resumed = bench.cycle, list[Any](), list[Any]()

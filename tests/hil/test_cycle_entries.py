@@ -63,7 +63,7 @@ def test_loading_ramps_to_the_static_force_at_the_measured_pose_and_load(cycle):
     assert cycle.proven
 
 
-def test_at_release_the_law_starts_at_the_measured_pose_brakes_unproven(cycle):
+def test_law_starts_at_the_measured_pose_with_unproven_brakes_at_brake_release(cycle):
     tick = entered(cycle, Mode.RELEASING, Mode.LOADING)
     np.testing.assert_array_equal(cycle.effort.holding, 2.0 * LAST)
     np.testing.assert_allclose(cycle.effort.offset, offset_from(cycle, tick, 2.0 * LAST, on_it=False))
@@ -91,7 +91,7 @@ def test_the_approach_begins_at_rest_and_leads_to_the_reference(cycle, speed):
 
 
 @pytest.mark.parametrize("before", [Mode.APPROACH, Mode.LOADING])
-def test_the_law_is_reset_at_tracking_only_without_an_approach(cycle, monkeypatch, before):
+def test_law_is_reset_at_the_start_of_tracking_only_without_an_approach(cycle, monkeypatch, before):
     begun: list[str] = []
     monkeypatch.setattr(cycle.parts.law, "reset", lambda: begun.append("law"))
     cycle.operating.speed = 0.4
@@ -126,7 +126,7 @@ def test_a_stop_cancels_park_and_unloading_ramps_from_the_last_force(cycle):
         (Mode.WAITING, 0.2, True, True),
     ],
 )
-def test_only_unloading_proves_the_brakes(cycle, monkeypatch, before, load_s, was, proven):
+def test_brakes_count_as_proven_only_after_a_force_ramp_down(cycle, monkeypatch, before, load_s, was, proven):
     monkeypatch.setattr(cycle, "durations", cycle.durations._replace(load=load_s))
     cycle.proven = was
     entered(cycle, Mode.PARKED, before)
@@ -138,7 +138,7 @@ def test_only_unloading_proves_the_brakes(cycle, monkeypatch, before, load_s, wa
 
 @pytest.mark.parametrize("blind", [False, True])
 @pytest.mark.parametrize("before", [Mode.TRACKING, Mode.IDLE])
-def test_a_platform_is_held_where_measured_or_at_its_reference_if_unknown(cycle, before, blind):
+def test_platform_is_held_at_its_measured_pose_or_without_feedback_at_its_reference(cycle, before, blind):
     cycle.faults = Fault.STALE if blind else Fault.BRAKE
     cycle.last = record_of(wrench=OLD_LOAD)
     entered(cycle, Mode.HELD, before)
@@ -159,10 +159,10 @@ def test_a_platform_held_from_parking_or_a_brake_test_keeps_its_force(cycle, mon
     np.testing.assert_array_equal(cycle.motion.sample(60).p, cycle.parts.home_p)
     np.testing.assert_allclose(cycle.effort.offset, offset_from(cycle, tick, force, on_it=True))
     np.testing.assert_array_equal(news[0], force)
-    assert news[1:] == ["forgotten"], "the drives are watched again from the start"
+    assert news[1:] == ["forgotten"], "the check of the drive responses must restart"
 
 
-def test_a_yielding_platform_is_held_at_its_measured_pose_and_load(cycle, monkeypatch):
+def test_platform_that_slips_on_its_brakes_is_held_at_its_measured_pose_and_load(cycle, monkeypatch):
     news: list[str] = []
     monkeypatch.setattr(cycle.obedience, "forget", lambda: news.append("forgotten"))
     cycle._yield(measured(cycle, p=aside(cycle), wrench=LOAD))

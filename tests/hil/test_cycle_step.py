@@ -117,7 +117,7 @@ def test_the_reference_is_the_measured_pose_unless_legs_follow_the_motion(bench,
         (Mode.LOADING, 10.0, False),
     ],
 )
-def test_the_law_sees_the_shortfall_of_limited_forces_while_it_acts(bench, mode, limit_N, limited):
+def test_law_receives_the_shortfall_of_limited_forces_only_while_it_acts(bench, mode, limit_N, limited):
     cycle = bench.cycle
     cycle.effort.holding, cycle.mode_tick = ASKED, -100_000
     with held_to(bench, force_N=limit_N):
@@ -147,7 +147,7 @@ def test_a_leg_with_its_drive_off_counts_as_braked_if_brakes_are_proven(mode, pr
 # -- what a cycle is made of
 
 
-def test_turns_lost_before_brakes_open_are_restored_and_later_ones_refused():
+def test_motor_turns_lost_before_brakes_open_are_restored_and_later_ones_refused():
     made = build_cycle(VIRTUAL.model_copy(update={"engage": BRISK}), 1000.0, 0.01).parts
     true, step_m = leg_lengths(made.platform, made.home_p, made.home_R), np.full(6, 0.01)
     pose = LastPose(true, np.full(6, 1e-4), step_m, step_m, "parked", "hil homing")
@@ -179,7 +179,7 @@ def test_the_limit_of_force_change_per_second_is_the_same_at_any_rate(rate_Hz, s
 
 
 @pytest.mark.parametrize("watchdog_s", [0.003, 0.5])
-def test_drives_get_the_given_watchdog_or_else_the_configured_one(watchdog_s):
+def test_drives_get_the_watchdog_time_of_the_run_or_else_the_configured_one(watchdog_s):
     assert build_cycle(VIRTUAL, 1000.0, watchdog_s).parts.setup.watchdog_s == watchdog_s
     assert drive_setup(VIRTUAL, 1000.0).watchdog_s == pytest.approx(1e-3 * VIRTUAL.drives.watchdog_ms)
 
@@ -188,7 +188,7 @@ def test_drives_get_the_given_watchdog_or_else_the_configured_one(watchdog_s):
     ("law", "rate_Hz", "disturbance", "noise"),
     [(VIRTUAL.controller, 500.0, 7.0, (3e-5, 4e-3)), (POSE, 1000.0, 8.0, (1e-5, 2e-3))],
 )
-def test_the_certificate_uses_the_laws_axes_the_payload_and_the_noise(
+def test_lyapunov_monitor_uses_the_axes_of_the_law_the_payload_and_the_noise(
     monkeypatch, law, rate_Hz, disturbance, noise
 ):
     watched: list[tuple[Any, ...]] = []

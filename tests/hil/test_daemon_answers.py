@@ -41,7 +41,7 @@ class Queue:
         self.over = False
 
     def drain(self, _deadline_ns: int, wanted: frozenset[int]) -> Rows:
-        assert not self.over, "nothing came until the deadline: nobody waits again"
+        assert not self.over, "the loop must not wait again after the deadline"
         taken, missing = [], set(wanted)
         while self.left and missing:
             taken.append(self.left.pop(0))
@@ -88,7 +88,7 @@ def damaged(frame: Frame) -> Frame:
 
 @pytest.mark.parametrize("bad", [1, 2, 5])
 @pytest.mark.parametrize("how", ["damaged", "old", "short"])
-def test_an_invalid_answer_does_not_end_the_wait_for_the_right_one(cycle, bad, how):
+def test_invalid_drive_answer_does_not_end_the_wait_for_the_valid_one(cycle, bad, how):
     good = six(cycle)
     worse = {
         "damaged": damaged(good[3]),
@@ -98,16 +98,16 @@ def test_an_invalid_answer_does_not_end_the_wait_for_the_right_one(cycle, bad, h
     bus = Queue(*good[:3], *[worse] * bad, *good[4:], good[3], damaged(good[0]))
     heard = listened(cycle, bus, 1_000, 10**9)
     assert [each.frame for each in heard] == [*good[:3], *[worse] * bad, *good[4:], good[3]]
-    assert len(bus.left) == 1, "what comes after six good ones waits for the next tick"
+    assert len(bus.left) == 1, "a frame after six valid answers must stay for the next tick"
 
 
-def test_at_the_deadline_the_daemon_continues_with_the_received_answers(cycle):
+def test_loop_continues_at_the_deadline_with_the_drive_answers_received_so_far(cycle):
     good = six(cycle)
     heard = listened(cycle, Queue(*good[:5], damaged(good[5])), 1_000, 10**9)
     assert len(heard) == 6
 
 
-def test_answers_received_before_a_stall_past_the_deadline_are_used(cycle):
+def test_drive_answers_received_before_a_stall_past_the_deadline_are_used(cycle):
     """For a family with shared identifiers the daemon waits frame by frame."""
 
     class HeldUp(Queue):
@@ -126,14 +126,14 @@ def test_answers_received_before_a_stall_past_the_deadline_are_used(cycle):
     assert [each.frame for each in heard] == good
 
 
-def test_a_frame_from_before_the_tick_is_not_an_answer(cycle):
+def test_frame_received_before_the_tick_is_not_taken_as_a_drive_answer(cycle):
     good = six(cycle)
     heard = listened(cycle, Queue(*good, *good), 5_003, 10**9)
     assert len(heard) == 9
 
 
 @pytest.mark.parametrize("last", [-1, 0, 6])
-def test_the_counter_of_the_last_commands_continues_after_the_last_tick(cycle, last):
+def test_command_counter_continues_after_the_last_tick_while_drives_are_switched_off(cycle, last):
     bus, ended = Queue(), SimpleNamespace(tick=last, period_ns=1_000)
     assert switch_off(cycle, cast("Bus", bus), cast("Deadlines", ended))
     assert [each.counter for each in commands(cycle, bus)] == [last + k for k in range(1, 6)]

@@ -122,7 +122,7 @@ def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 @pytest.mark.parametrize("consent", [False, True])
-def test_the_request_for_consent_and_each_trouble_are_reported_once(consent):
+def test_request_for_consent_and_each_reason_to_stay_held_are_reported_once(consent):
     ready = {"mode": Mode.IDLE, "waits": True}
     one, two = ({"mode": Mode.HELD, "stays_for": f"leg {k} moved"} for k in (1, 2))
     tracking, fault = (
@@ -145,7 +145,7 @@ def test_the_request_for_consent_and_each_trouble_are_reported_once(consent):
     ("stops", "what"),
     [(False, "the run goes on without a log"), (True, "the platform stops along the path and parks")],
 )
-def test_a_lost_recorder_stays_lost_and_is_reported_once(stops, what):
+def test_lost_recorder_counts_as_lost_until_the_end_and_is_reported_once(stops, what):
     gone = {"alive": False}
     world = World({}, gone, {}, gone, {}, stops_unrecorded=stops)
     world.run()
@@ -154,7 +154,7 @@ def test_a_lost_recorder_stays_lost_and_is_reported_once(stops, what):
     assert world.said[0].startswith(f"the recorder is gone: {what} (recording.on_recorder_loss: ")
 
 
-def test_the_log_has_received_frames_sent_frames_and_orders_of_each_tick():
+def test_log_has_received_frames_sent_frames_and_operator_commands_of_each_tick():
     heard = SimpleNamespace(operator=(), setpoints=(POINT,), orders=(ORDER,))
     heard._replace = lambda **new: SimpleNamespace(**{**vars(heard), **new})
     world = World({"operator": (Operator.STOP,)}, {})
@@ -207,7 +207,7 @@ def test_a_failing_loop_switches_the_drives_off_and_reports_the_reason(slept, er
 
 
 @pytest.mark.parametrize("answer_ns", [None, 0, 111])
-def test_answers_give_the_sending_time_if_the_bus_does_not(monkeypatch, answer_ns):
+def test_sending_time_of_a_frame_is_derived_from_the_answers_if_the_bus_reports_none(monkeypatch, answer_ns):
     """The bus gets the frames at 100 ns; sending lasts until 130 ns."""
     told: list[Any] = []
     opening, answer = sent_array(OPENING), received_array([ANSWER])

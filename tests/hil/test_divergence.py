@@ -24,7 +24,7 @@ def compared(one, other, name, tolerance=EXACT):
     return found, beyond.tolist()
 
 
-def test_the_first_and_the_largest_difference_have_separate_places():
+def test_first_and_largest_difference_of_two_logs_are_reported_with_tick_and_leg():
     tau = np.zeros((4, 6))
     tau[1, 2], tau[1, 5], tau[3, 4] = 0.5, -2.0, 7.0
     found, beyond = compared(rows(tau=tau), rows(), "tau")
@@ -58,7 +58,7 @@ def test_the_first_and_the_largest_difference_have_separate_places():
         (-0.0, 0.0, Tolerance(), False),
     ],
 )
-def test_values_are_compared_with_absolute_and_relative_tolerances(one, other, tolerance, beyond):
+def test_log_values_are_compared_with_absolute_and_relative_tolerances(one, other, tolerance, beyond):
     _, found = compared(rows(1, condition=one), rows(1, condition=other), "condition", tolerance)
     assert found == [beyond]
 
@@ -88,7 +88,7 @@ def test_diverging_columns_are_sorted_by_their_first_difference():
     assert [each.column.name for each in found.different] == ["mode", "q", "tau"]
 
 
-def test_the_relative_tolerance_applies_to_floats_without_their_own():
+def test_relative_tolerance_applies_to_float_columns_without_a_tolerance_of_their_own():
     found = Divergence([COLUMNS[name] for name in ("age", "q", "tau")], {"tau": 0.5}, 1e-3)
     relative = [(each.tolerance.absolute, each.tolerance.relative) for each in found.columns]
     assert relative == [(0.0, 0.0), (0.0, 1e-3), (0.5, 0.0)]
@@ -106,7 +106,7 @@ def test_the_relative_tolerance_applies_to_floats_without_their_own():
         ({"tau": 0, "q": 3, "mode": 0}, ["mode", "tau"]),
     ],
 )
-def test_the_first_columns_are_all_that_differ_in_the_earliest_tick(parts, first):
+def test_first_diverging_columns_are_all_columns_that_differ_in_the_earliest_tick(parts, first):
     there, here = rows(), rows()
     for name, row in parts.items():
         here[name][row:] = 1

@@ -98,7 +98,7 @@ def test_with_massless_legs_only_platform_and_drives_have_inertia(case, drives):
     assert relative(model.inverse_dynamics(p, R, twist, dtwist, wrench), expected) <= 1e-9
 
 
-def test_dynamics_agree_with_the_books_41_states():
+def test_dynamics_agree_with_41_published_textbook_states():
     model = Model(Platform.from_dict(BOOK["geometry"]))
     for s in BOOK["states"]:
         R = rotation_from_vector(np.array(s["rotvec"]))
@@ -131,7 +131,7 @@ def test_power_equals_the_rate_of_energy(case, spin):
 
 @pytest.mark.parametrize("spin", ["none", "universal"])
 @pytest.mark.parametrize("case", CASES[1::6])
-def test_the_power_of_H_equals_half_the_rate_of_M(case, spin):
+def test_power_of_coriolis_forces_equals_half_twist_times_inertia_rate_times_twist(case, spin):
     """twist.(dM/dt/2) twist = twist.H, dM/dt by central differences along p + t v, exp(t w) R."""
     p, R, twist, *_ = state_of(case)
     model = Model(PLATFORMS[case["geometry"]], leg_spin=spin, reflected_mass=REFLECTED)
@@ -162,7 +162,7 @@ def test_the_joint_space_law_linearises_exactly(drives, spin, prefix):
 
 @BARE_AND_DRIVEN
 @pytest.mark.parametrize("case", CASES[1::6])
-def test_variants_differ_by_their_omitted_terms(case, drives):
+def test_model_variants_differ_by_their_omitted_terms(case, drives):
     p, R, twist, dtwist, wrench, _ = state_of(case)
     platform, e = PLATFORMS[case["geometry"]], case["expected"]
     M, G = (np.array(e[key]) for key in ("M", "G"))

@@ -118,7 +118,7 @@ class Predictor:
 # -- the entry offset
 
 
-def test_the_entry_offset_fades_over_the_blend_time_or_ends_at_once(parts):
+def test_force_offset_at_the_entry_of_the_law_fades_over_blend_s_or_ends_at_once(parts):
     for blend_s, shares in (
         (0.1, {10: 1.0, 35: 1.0 - QUARTER, 60: 0.5, 110: 0.0, 999: 0.0}),
         (0.0, {10: 0.0}),
@@ -131,7 +131,7 @@ def test_the_entry_offset_fades_over_the_blend_time_or_ends_at_once(parts):
             np.testing.assert_allclose(tick["tau_asked"], OWN + share * (HOLDING - OWN), rtol=1e-12)
 
 
-def test_the_external_wrench_fades_in_as_the_entry_offset_fades_out(parts):
+def test_compensated_wrench_fades_in_as_the_force_offset_at_entry_fades_out(parts):
     cycle, law = a_cycle(parts, wrench=ExternalWrench(None, 1000.0, 1e-3))
     cycle.effort.entry_tick = 10
     blend = round(parts.engage.blend_s * parts.rate_Hz)
@@ -147,7 +147,7 @@ def test_the_external_wrench_fades_in_as_the_entry_offset_fades_out(parts):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_while_held_the_law_stays_within_the_window_about_the_holding_force(parts, way):
+def test_law_force_of_a_held_platform_stays_within_a_window_about_the_holding_force(parts, way):
     cycle, law = a_cycle(parts)
     law.own = OWN + way * 1e6
     np.testing.assert_allclose(filled(cycle, Mode.HELD)["tau_asked"], HOLDING + way * cycle.effort.reach_N)
@@ -176,7 +176,7 @@ def test_learned_forces_are_added_except_for_a_held_platform(parts):
     law.seen, cycle.faults, cycle.effort.holding = None, Fault.STALE, SHORTFALL
     blind = filled(cycle, Mode.HELD, 9)
     np.testing.assert_array_equal(blind["tau_asked"], SHORTFALL)
-    assert law.seen is None, "a force that is fixed is the holding force"
+    assert law.seen is None, "the law must not be called while the force is fixed"
     assert not blind["tau_learned"].any()
 
 
@@ -184,12 +184,12 @@ def test_learned_forces_are_added_except_for_a_held_platform(parts):
 
 
 @pytest.mark.parametrize("predicts", [True, False])
-def test_the_law_sees_the_shortfall_and_the_tick_has_the_laws_own_force(parts, predicts):
+def test_law_receives_the_force_shortfall_and_its_own_force_is_recorded(parts, predicts):
     predictor = Predictor() if predicts else None
     cycle, law = a_cycle(parts, predictor=predictor)
     for free in (True, False):
         filled(cycle, Mode.RELEASING, free=free)
-        assert predictor is None or predictor.free is free, "whether the brakes are open"
+        assert predictor is None or predictor.free is free, "the predictor knows if the brakes are open"
     cycle.control.record["shortfall"] = SHORTFALL
     np.testing.assert_array_equal(filled(cycle, Mode.TRACKING)["tau_law"], OWN)
     assert law.seen is not None
@@ -197,7 +197,7 @@ def test_the_law_sees_the_shortfall_and_the_tick_has_the_laws_own_force(parts, p
 
 
 @pytest.mark.parametrize("number", [3, 500])
-def test_a_predicting_law_reads_its_table_at_the_time_its_force_acts(parts, number):
+def test_law_with_delay_compensation_reads_learned_forces_at_the_time_its_force_acts(parts, number):
     """The path begins in tick 2; at another speed than the clock's the table has no time."""
     cycle, law = a_cycle(parts, predictor=Predictor())
     cycle.motion.start(parts.trajectory, 2)
@@ -212,7 +212,7 @@ def test_a_predicting_law_reads_its_table_at_the_time_its_force_acts(parts, numb
 
 
 @pytest.mark.parametrize(("left", "t_d"), [(0, None), (1, 1.5e-3), (2, 0.5e-3), (3, None), (9, None)])
-def test_the_table_is_read_from_the_first_force_that_acts_on_the_path(parts, left, t_d):
+def test_learned_forces_are_read_from_the_first_force_that_acts_on_the_path(parts, left, t_d):
     """The approach ends `left` ticks later; its last force may already act on the path."""
     predictor = Predictor()
     predictor.horizon_s = 2.5e-3
@@ -242,7 +242,7 @@ QUARTER = 0.103515625
         (Mode.UNLOADING, 0.2, 0.0),
     ],
 )
-def test_loading_waits_one_ramp_before_it_ramps_unloading_ramps_at_once(mode, elapsed_s, share):
+def test_holding_force_ramp_starts_one_ramp_time_late_on_loading_at_once_on_unloading(mode, elapsed_s, share):
     assert holding_share(mode, elapsed_s, 0.2) == pytest.approx(share, abs=1e-12)
     assert [smoothstep(x) for x in (-2.0, 0.25, 0.5, 0.75, 3.0)] == [0.0, QUARTER, 0.5, 1.0 - QUARTER, 1.0]
 
@@ -251,7 +251,7 @@ def test_loading_waits_one_ramp_before_it_ramps_unloading_ramps_at_once(mode, el
     "mode", [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED, Mode.FAULT]
 )
 @pytest.mark.parametrize("load_s", [0.0, 0.2])
-def test_without_the_law_only_a_ramp_requests_a_share_of_the_holding_force(parts, mode, load_s):
+def test_only_loading_and_unloading_request_a_share_of_the_holding_force_without_the_law(parts, mode, load_s):
     cycle, law = a_cycle(parts, engage=parts.engage.model_copy(update={"force_ramp_s": load_s}))
     tick = filled(cycle, mode, 104, since=4, free=False, tau_asked=LEARNED)
     share = {Mode.LOADING: 0.0, Mode.UNLOADING: 0.5}.get(mode) if load_s else None
@@ -260,7 +260,7 @@ def test_without_the_law_only_a_ramp_requests_a_share_of_the_holding_force(parts
 
 
 @pytest.mark.parametrize("on_it", [False, True])
-def test_the_force_at_rest_is_that_of_a_reset_law_without_load(parts, on_it):
+def test_force_at_rest_is_that_of_a_reset_law_without_external_load(parts, on_it):
     law: Any = Law()
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     there = PoseSample(np.array([0.01, 0.02, 1.0]), np.eye(3), np.zeros(6), np.zeros(6))
@@ -268,8 +268,8 @@ def test_the_force_at_rest_is_that_of_a_reset_law_without_load(parts, on_it):
     tick = record_of(wrench=7.0, tau_law=99.0, **measured)
     before = tick.tobytes()
     np.testing.assert_array_equal(tau_at_rest(law, parts.platform, tick, there, on_it=on_it), OWN)
-    assert tick.tobytes() == before, "the tick stays as it is"
-    assert law.calls == ["reset", "effort", "reset"], "nothing of it is kept"
+    assert tick.tobytes() == before, "the tick record must not change"
+    assert law.calls == ["reset", "effort", "reset"], "the law must be reset after the call"
     seen = law.seen
     assert not seen["wrench"].any()
     length = leg_lengths(parts.platform, there.p, there.R)

@@ -18,7 +18,7 @@ from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench,
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_small_gaps_add_up_to_a_slip(leg, sign):
+def test_encoders_flag_small_unexplained_length_changes_that_add_up_to_a_slip(leg, sign):
     """Of the first gap, 1 - T / 50 ms is left a tick later."""
     bench = after(2, length_noise_m=0.25)
     bench.ticks(1, jump=six(sign * 0.3, leg))
@@ -32,7 +32,7 @@ def test_encoders_small_gaps_add_up_to_a_slip(leg, sign):
 
 
 @BOTH_SIGNS
-def test_encoders_a_slip_may_be_a_share_of_the_travel_in_the_last_50_ms(sign):
+def test_encoders_allow_a_slip_of_a_share_of_the_travel_in_the_last_50_ms(sign):
     """Rate noise over all of this time, and a period's delay of a leg that others contradict."""
     bench = after(
         60, rate=sign * RATES, length_noise_m=0.5, rate_noise_m_s=2.0, rate_error=0.5, disturbance_m_s2=64.0
@@ -45,14 +45,14 @@ def test_encoders_a_slip_may_be_a_share_of_the_travel_in_the_last_50_ms(sign):
 
 
 @BOTH_SIGNS
-def test_encoders_apparent_delays_of_a_lone_moving_leg_add_up_to_a_slip(sign):
+def test_encoders_flag_apparent_delays_of_a_leg_moving_alone_that_add_up_to_a_slip(sign):
     for share, why in ((0.17, Doubt.NONE), (0.28, Doubt.SLIP)):
         bench = after(2, rate=six(8.0, 5))
         bench.ticks(1, jump=six(sign * share * T * 8.0, 5))
         assert bench.tick(jump=six(sign * share * T * 8.0, 5))["doubt"] == why
 
 
-def test_encoders_a_gap_explained_by_a_long_silence_stays_excused():
+def test_encoders_keep_allowing_a_length_change_that_a_long_silence_explains():
     """Of 50 mm, which 128 m/s^2 explain in four periods, 34 are left a tick later, when 16 are allowed."""
     bench = after(2, disturbance_m_s2=64.0, length_noise_m=1e-3)
     bench.ticks(3, unseen=[1])
@@ -61,13 +61,13 @@ def test_encoders_a_gap_explained_by_a_long_silence_stays_excused():
     tick = bench.ticks(1)
     assert bench.memory("gaps")[1] == pytest.approx(0.6875 * 0.05)
     assert calm(tick)
-    assert bench.memory("excused")[1] == pytest.approx(0.6875 * (0.05 - 2e-3)), "but for the noise"
+    assert bench.memory("excused")[1] == pytest.approx(0.6875 * (0.05 - 2e-3)), "excludes the noise"
     bench.ticks(40)
     assert bench.memory("excused")[1] < 1e-6
     bench = after(2, disturbance_m_s2=64.0)
     bench.ticks(3, unseen=[1])
     bench.ticks(1)
-    assert not bench.memory("excused").any(), "of a calm stall"
+    assert not bench.memory("excused").any(), "a stall without a length change allows nothing"
 
 
 # -- leaps
@@ -81,7 +81,7 @@ def accelerated(**limits):
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_rate_may_leap_by_disturbance_and_noise(leg, sign):
+def test_encoders_allow_a_rate_jump_within_disturbance_and_noise(leg, sign):
     """From -8 to 8 m/s^2, plus the noise of the last acceleration."""
     limit = 16.0 * T + 2.0 * 0.25 * 2.0
     limits = {"disturbance_m_s2": 8.0, "rate_noise_m_s": 0.25}
@@ -93,7 +93,7 @@ def test_encoders_a_rate_may_leap_by_disturbance_and_noise(leg, sign):
 
 
 @BOTH_SIGNS
-def test_encoders_an_acceleration_is_a_leap_only_when_it_ends(sign):
+def test_encoders_flag_an_impossible_acceleration_as_a_rate_jump_only_when_it_ends(sign):
     for then in (96.1, 95.9):
         bench = accelerated(disturbance_m_s2=16.0)
         for n in range(1, 4):
@@ -102,7 +102,7 @@ def test_encoders_an_acceleration_is_a_leap_only_when_it_ends(sign):
         assert calm(tick) if then > 96.0 else doubted(tick, Doubt.LEAP, 3, -sign * 32.1 * T, 32.0 * T)
 
 
-def test_encoders_a_leap_is_judged_by_the_times_between_the_readings():
+def test_encoders_bound_a_rate_jump_by_the_times_between_the_readings():
     """1.5 T, then 0.5 T: a third of the noise of the last acceleration."""
     bench = accelerated(rate_noise_m_s=0.25, disturbance_m_s2=8.0)
     bench.ticks(1, lateness=0.5, rate=six(3.0 * T, 1))
@@ -110,7 +110,7 @@ def test_encoders_a_leap_is_judged_by_the_times_between_the_readings():
     assert doubted(bench.tick(rate=six(9.0 + 4.0 * T, 1)), Doubt.LEAP, 1, value, limit)
 
 
-def test_encoders_leaps_count_only_after_the_opening_time_of_the_brakes():
+def test_encoders_flag_rate_jumps_only_after_the_opening_time_of_the_brakes():
     bench = after(3, length_noise_m=1e3, open_ticks=3, disturbance_m_s2=32.0)
     bench.ticks(1, mode=Mode.IDLE)
     bench.ticks(2)
@@ -118,7 +118,7 @@ def test_encoders_leaps_count_only_after_the_opening_time_of_the_brakes():
     assert doubted(bench.tick(rate=six(0.0)), Doubt.LEAP, 1, -9.0 - 9.0, 1.0)
 
 
-def test_encoders_a_leap_needs_an_earlier_acceleration():
+def test_encoders_flag_a_rate_jump_only_after_an_earlier_acceleration_is_known():
     bench = after(1, length_noise_m=1e3, open_ticks=0, rate_noise_m_s=1e-3)
     bench.ticks(1, rate=six(9.0, 1))
     assert doubted(bench.tick(rate=six(0.0)), Doubt.LEAP, 1, -18.0, 4e-3)
@@ -156,7 +156,7 @@ RISES = [200.0, 300.0, 300.0, 100.0, -100.0, -300.0]
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_frozen_leg_far_off_reference_is_pushed_then_doubted(leg, sign):
+def test_encoders_with_a_frozen_reading_far_off_the_reference_are_pushed_and_then_flagged(leg, sign):
     bench = Standing(leg)
     assert [bench.stand(sign * 5.0 * (n > 1))["tau"][leg] for n in range(4)] == [0.0] * 4
     for n, force in enumerate(RISES):
@@ -170,17 +170,17 @@ def test_encoders_a_frozen_leg_far_off_reference_is_pushed_then_doubted(leg, sig
 
 
 @BOTH_SIGNS
-def test_encoders_a_frozen_leg_is_first_pushed_towards_its_reference(sign):
+def test_encoders_with_a_frozen_reading_are_first_pushed_towards_the_reference(sign):
     assert standing(2, length_noise_m=0.05).stand(sign * 0.6)["tau"][2] == pytest.approx(-sign * 200.0)
 
 
-def test_encoders_a_frozen_leg_is_pushed_if_another_leg_strays():
+def test_encoders_with_a_frozen_reading_are_pushed_if_another_leg_leaves_its_reference():
     assert standing(2).stand(5.5, where=4)["tau"] == pytest.approx(six(200.0, 2))
     assert standing(2).stand(5.5, where=4, unseen=[4])["tau"] == pytest.approx(six(0.0))
 
 
 @BOTH_SIGNS
-def test_encoders_pushing_ends_when_the_leg_moves_by_more_than_its_noise(sign):
+def test_encoders_probe_push_ends_when_the_leg_moves_by_more_than_its_noise(sign):
     bench = standing(2)
     bench.stand(20.0)
     bench.stand(20.0, jump=six(sign * 0.5, 2))
@@ -195,7 +195,7 @@ def test_encoders_pushing_ends_when_the_leg_moves_by_more_than_its_noise(sign):
 
 
 @ON_ONE_LEG
-def test_encoders_a_frozen_leg_held_by_friction_is_recorded_but_not_pushed(leg):
+def test_encoders_with_a_frozen_reading_explained_by_friction_are_recorded_but_not_pushed(leg):
     bench = standing(leg, sticks=1)
     assert bench.memory("strays") == 0
     bench.stand(20.0)
@@ -207,7 +207,7 @@ def test_encoders_a_frozen_leg_held_by_friction_is_recorded_but_not_pushed(leg):
     assert bench.memory("strays") == 0
 
 
-def test_encoders_free_travel_restarts_when_a_frozen_reading_moves():
+def test_encoders_restart_the_expected_travel_when_a_frozen_reading_changes():
     bench = standing(2, sticks=1)
     bench.memory("free_m")[2] = bench.memory("free_m_s")[2] = 7.0
     bench.stand(20.0)
@@ -220,7 +220,7 @@ def test_encoders_free_travel_restarts_when_a_frozen_reading_moves():
 @pytest.mark.parametrize(
     ("both_ways", "most"), [(0, 3), (0b111011, 3), (0b000100, 6)], ids=["one", "another leg's two", "two"]
 )
-def test_encoders_a_sticking_leg_is_doubted_after_its_pushes(both_ways, most, sign):
+def test_encoders_flag_a_leg_that_still_sticks_after_its_probe_pushes(both_ways, most, sign):
     """One push, or one in each direction under an unknown load."""
     for push in (most, most + 1):
         bench = standing(2, sticks=1)
@@ -231,7 +231,7 @@ def test_encoders_a_sticking_leg_is_doubted_after_its_pushes(both_ways, most, si
 
 
 @ON_ONE_LEG
-def test_encoders_a_pushed_leg_makes_no_other_leg_suspect_until_it_settled(leg):
+def test_encoders_do_not_suspect_other_legs_until_a_pushed_leg_has_settled(leg):
     """Otherwise pushes would spread from leg to leg: each moves a leg by more than the suspicion threshold."""
     memory = SimpleNamespace(push=six(0), unsettled_s=six(0.0), began=np.zeros((6, 6)))
     settle = encoder_rules.let_settle
@@ -246,7 +246,7 @@ def test_encoders_a_pushed_leg_makes_no_other_leg_suspect_until_it_settled(leg):
         assert memory.began == pytest.approx(expected), "its own reference may move on"
 
 
-def test_encoders_a_leg_is_unsettled_as_long_as_it_is_pushed():
+def test_encoders_count_a_leg_as_unsettled_as_long_as_it_is_pushed():
     bench = standing(2)
     bench.stand(20.0)
     for _ in range(3):
@@ -258,7 +258,7 @@ def test_encoders_a_leg_is_unsettled_as_long_as_it_is_pushed():
 
 
 @BOTH_SIGNS
-def test_encoders_a_rate_above_three_times_its_noise_is_a_motion(sign):
+def test_encoders_count_a_rate_above_three_times_its_noise_as_motion(sign):
     for rate, push in ((0.75, -1), (0.76, 0)):
         bench = Standing(2)
         bench.rate = six(sign * rate, 2, 1.0)
@@ -267,20 +267,20 @@ def test_encoders_a_rate_above_three_times_its_noise_is_a_motion(sign):
         assert bench.memory("push")[2] == push
 
 
-def test_encoders_a_push_pauses_while_the_leg_is_silent_and_continues():
+def test_encoders_probe_push_pauses_while_the_leg_is_silent_and_continues_later():
     bench = standing(2)
     bench.stand(20.0)
     assert bench.stand(20.0, unseen=[2])["tau"][2] == pytest.approx(-200.0)
     assert bench.stand(20.0)["tau"][2] == pytest.approx(-300.0)
 
 
-def test_encoders_an_unwatched_leg_is_not_pushed():
+def test_encoders_of_unwatched_legs_are_not_pushed():
     bench = standing(2, watched_legs=63 - 4)
     assert bench.stand(20.0)["tau"][2] == 0.0
     assert bench.memory("stood")[2] == 0
 
 
-def test_encoders_frozen_legs_are_pushed_only_with_open_brakes():
+def test_encoders_with_frozen_readings_are_pushed_only_with_open_brakes():
     bench = Standing(2, open_ticks=3)
     for n in range(5):
         bench.stand(20.0 * n)
@@ -295,7 +295,7 @@ def test_encoders_frozen_legs_are_pushed_only_with_open_brakes():
     ("sticks", "ticks", "rise", "fall"),
     [(0, 0, 1, 600.0), (0, 1, 1, 600.0), (0, 4, 1, 150.0), (1, 4, 1, 300.0), (1, 12, 9, 300.0 / 9.0)],
 )
-def test_encoders_a_push_fades_at_the_rate_at_which_it_rises_or_reverses(sticks, ticks, rise, fall):
+def test_encoders_probe_push_fades_at_the_same_slope_at_which_it_rises_or_reverses(sticks, ticks, rise, fall):
     limits = SimpleNamespace(push_ticks=ticks, push_N=six(300.0), sticks=sticks, rise_ticks=rise)
     memory, tick = SimpleNamespace(push=six(0, dtype=int)), SimpleNamespace(probe_force=six(900.0))
     fill_probe(tick, tick, limits, memory)
@@ -313,14 +313,14 @@ def forces(limits, pushes, left_N=0.0):
 
 
 @BOTH_SIGNS
-def test_encoders_a_push_fades_at_its_rate_before_it_reverses(sign):
+def test_encoders_probe_push_fades_at_its_slope_before_it_reverses(sign):
     limits = SimpleNamespace(push_ticks=16, push_N=six(300.0), sticks=0, rise_ticks=1)
     found = forces(limits, [sign * k for k in (1, 2, 3)], left_N=-300.0 * sign)
     assert found == pytest.approx([sign * force for force in (-262.5, -225.0, -187.5)])
 
 
 @ON_ONE_LEG
-def test_encoders_a_leg_counts_as_probed_until_its_push_force_is_zero(leg):
+def test_encoders_count_a_leg_as_pushed_until_its_probe_force_is_zero(leg):
     probed = encoder_rules.probed
     assert not probed(SimpleNamespace(probe_force=six(0.0)), SimpleNamespace(push=six(0)))
     assert probed(SimpleNamespace(probe_force=six(0.0)), SimpleNamespace(push=six(-1, leg)))
@@ -332,7 +332,7 @@ def test_encoders_a_leg_counts_as_probed_until_its_push_force_is_zero(leg):
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_gap_may_include_the_lag_of_two_slopes(leg, sign):
+def test_encoders_allow_the_lag_of_two_differentiated_rates_in_a_length_change(leg, sign):
     """The acceleration range is 16 m/s^2: T^2 / 8 of it, plus T / 2 times the two lags of T / 3."""
     bench = after(5, differences=1, disturbance_m_s2=8.0)
     limit = 16.0 * T * T * (1.0 / 8.0 + 1.0 / 3.0) + CREEP
@@ -341,7 +341,7 @@ def test_encoders_a_gap_may_include_the_lag_of_two_slopes(leg, sign):
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_leap_of_slopes_may_include_the_lag_of_three_slopes(leg, sign):
+def test_encoders_allow_the_lag_of_three_differentiated_rates_in_a_rate_jump(leg, sign):
     """T times the range, as for any rate, plus lags: T / 3 of the last slope, three times T / 3 of the previous."""
     limit = 16.0 * T * (1.0 + 4.0 / 3.0)
     for share, doubts in ((0.999, False), (1.001, True)):

@@ -28,7 +28,7 @@ def probed(limits, pushes, legs=range(6), force_N=0.0):
 @BOTH_SIGNS
 @pytest.mark.parametrize("legs", [[0], [5], [1, 4]], ids=str)
 @pytest.mark.parametrize("sticks", [0, 1])
-def test_only_the_suspected_leg_is_pushed_with_its_own_friction_force(sign, legs, sticks):
+def test_probe_push_acts_on_the_suspected_legs_only_each_with_its_own_force(sign, legs, sticks):
     """The full force acts in the first tick, or, with a rise over eight ticks, in the fourth."""
     limits = SimpleNamespace(push_ticks=8, push_N=FORCES_N, sticks=sticks, rise_ticks=1)
     found, begun = probed(limits, [sign * k for k in range(1, 5)], legs)
@@ -42,7 +42,7 @@ def test_only_the_suspected_leg_is_pushed_with_its_own_friction_force(sign, legs
 @BOTH_SIGNS
 @pytest.mark.parametrize("leg", [0, 5])
 @pytest.mark.parametrize("rise", [1, 4])
-def test_a_sticking_leg_is_pushed_one_way_with_equal_rise_and_fall(sign, leg, rise):
+def test_sticking_leg_is_pushed_in_one_direction_with_equal_rise_and_fall(sign, leg, rise):
     limits = SimpleNamespace(push_ticks=20, push_N=FORCES_N, sticks=1, rise_ticks=rise)
     found, _ = probed(limits, [sign * k for k in [*range(1, 21), *[0] * rise]], [leg])
     assert not np.delete(found, leg, axis=1).any()
@@ -58,7 +58,7 @@ def test_a_sticking_leg_is_pushed_one_way_with_equal_rise_and_fall(sign, leg, ri
     ("last", "ticks", "now"),
     [(6, 0, 4), (2.5, 0, 0.5), (2, 0, 0), (0, 3, 2), (4, 3, 5), (6, 3, 5), (1, -3, -1)],
 )
-def test_a_push_begins_reverses_and_ends_within_the_allowed_slope(sign, last, ticks, now):
+def test_probe_push_begins_reverses_and_ends_within_the_allowed_force_slope(sign, last, ticks, now):
     """5 N over 5 ticks: 2 N per tick; the push is complete in the third."""
     limits = SimpleNamespace(push_ticks=5, push_N=six(5.0), sticks=0, rise_ticks=1)
     found, _ = probed(limits, [sign * ticks], force_N=sign * float(last))

@@ -22,19 +22,19 @@ STEPS = pytest.mark.parametrize(
 
 
 @STEPS
-def test_residuals_the_lag_of_a_slope_is_the_worst_case_of_an_acceleration(T0, T1):
+def test_residuals_lag_of_a_differentiated_rate_is_the_worst_case_of_an_acceleration(T0, T1):
     """Slope of the parabola through three lengths minus the rate at their end, summed over force pulses."""
     pulse = (T0 + T1) * 1e-4
     at = np.arange(-T0 - T1, 0.0, pulse) + 0.5 * pulse
     lengths = [np.zeros_like(at), np.clip(-T1 - at, 0.0, None) * pulse, -at * pulse]
     last, before = (lengths[2] - lengths[1]) / T1, (lengths[1] - lengths[0]) / T0
     wrong = last + (last - before) * T1 / (T0 + T1) - pulse
-    assert abs(wrong.sum()) < 1e-3, "a uniform acceleration leaves nothing"
+    assert abs(wrong.sum()) < 1e-3, "a uniform acceleration must give no error of the rate"
     assert residuals.lag_of(T1, T0) == pytest.approx(np.clip(wrong, 0.0, None).sum(), rel=1e-3)
 
 
 @STEPS
-def test_residuals_the_lag_of_a_leap_weights_the_lags_of_its_three_rates(T0, T1):
+def test_residuals_lag_of_a_rate_jump_weights_the_lags_of_its_three_rates(T0, T1):
     """With rates r0, r1, r2 the leap is r2 - r1 - (r1 - r0) T1 / T0; r0 and r1 have the same lag."""
     lags = 0.25, 0.125
     counts = 1.0, 1.0 + T1 / T0, T1 / T0
@@ -49,7 +49,7 @@ LAG = {(1.0, 1.0): 1.0 / 3.0, (1.0, 1.5): 0.5 * 1.5 * 2.5 / 4.0, (1.5, 0.5): 0.5
 @ON_ONE_LEG
 @BOTH_SIGNS
 @pytest.mark.parametrize("after_it", [False, True], ids=["in a long step", "in the short one after it"])
-def test_the_bound_on_a_leap_of_slopes_accounts_for_unequal_steps(leg, sign, after_it):
+def test_bound_on_a_jump_of_differentiated_rates_accounts_for_unequal_steps(leg, sign, after_it):
     """The acceleration range is 16 m/s^2. A tick half a period late makes steps of 1.5 T and 0.5 T."""
     if after_it:
         step, lags = 0.5, LAG[1.5, 0.5] + LAG[1.0, 1.5] * (1.0 + 2.0 * 0.5 / 1.5)
@@ -70,7 +70,7 @@ def slopes(lengths):
     return 1.5 * lengths[2:] - 2.0 * lengths[1:-1] + 0.5 * lengths[:-2]
 
 
-def test_residuals_a_late_latch_and_a_jump_appear_in_slopes_as_computed():
+def test_residuals_factors_of_a_late_sample_and_a_length_jump_in_differentiated_rates_are_exact():
     """Lengths at 1 m/s, spaced by 1 s; a leap is a slope's deviation from the last two, extrapolated."""
     even, delay, jump = np.arange(12.0), 0.01, 0.01
     late = even + delay * (np.arange(12) == 6)
@@ -86,23 +86,23 @@ def test_residuals_a_late_latch_and_a_jump_appear_in_slopes_as_computed():
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_residuals_a_late_latch_explains_a_leap_of_either_sign(leg, sign):
+def test_residuals_late_sample_explains_a_rate_jump_of_either_sign(leg, sign):
     """The same delay of all moving legs; its largest leap is six times rate and delay."""
     rates, bounds = sign * RATES, six(1e-3)
     for share, is_time in ((0.99, True), (1.01, False)):
         leaps = share * residuals.TIME_LEAPS * 0.25 * rates
         assert bool(residuals.is_time(leg, leaps, rates, bounds, 0.25)) == is_time
     alone = six(1.0, leg)
-    assert not residuals.is_time(leg, alone, rates, bounds, 0.25), "the others say nothing of it"
+    assert not residuals.is_time(leg, alone, rates, bounds, 0.25), "the other legs show no delay"
 
 
-def test_residuals_a_slope_lags_by_half_its_step_after_an_unknown_step():
+def test_residuals_differentiated_rate_lags_by_half_its_step_after_an_unknown_step():
     assert residuals.lag_of(4.0, 0.0) == 2.0
 
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_residuals_a_leap_counts_as_time_within_the_bound_of_its_leg(leg, sign):
+def test_residuals_rate_jump_counts_as_a_late_sample_within_the_bound_of_its_leg(leg, sign):
     """Six times 0.25 periods of each rate are explained exactly, plus the leg's own bound."""
     is_time = residuals.is_time
     leaps = sign * 1.5 * RATES
@@ -117,7 +117,7 @@ def test_residuals_a_leap_counts_as_time_within_the_bound_of_its_leg(leg, sign):
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("silent", [0, 2, 5])
-def test_bounds_on_gaps_and_leaps_use_the_steps_of_their_own_leg(leg, silent):
+def test_bounds_on_length_changes_and_rate_jumps_use_the_time_steps_of_their_own_leg(leg, silent):
     """The acceleration range is 16 m/s^2; the silent leg has a step of 2 T behind it, the others T."""
     steps = (1.0, 2.0, 1.0) if leg == silent else (1.0, 1.0, 1.0)
     lags = [0.5 * now * (now + was) / (2.0 * now + was) for was, now in pairwise(steps)]
@@ -135,7 +135,7 @@ def test_bounds_on_gaps_and_leaps_use_the_steps_of_their_own_leg(leg, silent):
 
 
 @ON_ONE_LEG
-def test_the_first_rate_after_a_long_silence_is_not_judged_as_a_leap(leg):
+def test_first_rate_after_a_long_silence_is_not_checked_for_a_rate_jump(leg):
     bench = after(3, open_ticks=0, length_noise_m=1e3, rate_noise_m_s=1e-3)
     bench.ticks(9, unseen=[leg])
     bench.ticks(1)
@@ -150,7 +150,7 @@ FASTEST = 5
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
 @pytest.mark.parametrize("unshared", [0.3, 0.6])
-def test_the_fastest_leg_is_not_doubted_for_a_latch_late_for_all_legs(leg, sign, unshared):
+def test_fastest_leg_is_not_flagged_for_a_sampling_delay_common_to_all_legs(leg, sign, unshared):
     """All slopes leap by the same share of their rates; only the fastest leaps by more than forces explain."""
     bound = 16.0 * T * (1.0 + 4.0 / 3.0)
     largest = bound + residuals.TIME_LEAPS * unshared * 8.0
@@ -171,7 +171,7 @@ def test_the_fastest_leg_is_not_doubted_for_a_latch_late_for_all_legs(leg, sign,
             assert calm(tick)
 
 
-def test_excuses_of_a_stall_are_cleared_after_a_long_silence():
+def test_length_change_allowed_after_a_stall_is_cleared_by_a_long_silence():
     bench = after(2, disturbance_m_s2=64.0, length_noise_m=1e-3)
     bench.ticks(3, unseen=[1])
     bench.ticks(1, jump=six(0.05, 1))
@@ -191,7 +191,7 @@ def test_excuses_of_a_stall_are_cleared_after_a_long_silence():
 
 
 @pytest.mark.parametrize("pushes", [True, False])
-def test_the_certificate_is_not_judged_while_a_frozen_leg_is_pushed(pushes):
+def test_lyapunov_certificate_is_not_checked_while_a_leg_with_frozen_encoder_is_pushed(pushes):
     """The monitor of `certified` with three efforts; one leg has a frozen reading 0.2 m off its reference."""
     watch = Watch(certified().safety._watched[:CONSTANTS].copy(), 3)
     legs = 0b111111 if pushes else 0
@@ -207,7 +207,7 @@ def test_the_certificate_is_not_judged_while_a_frozen_leg_is_pushed(pushes):
 
 
 @pytest.mark.parametrize("other", [0, 2, 4])
-def test_a_leg_with_an_unknown_leap_does_not_contradict_a_late_latch(other):
+def test_leg_with_an_unknown_rate_jump_does_not_contradict_a_late_sample(other):
     """The leg was silent for long and has answered once since: its spacing is unknown."""
     bench = after(8, rate=RATES, differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
     bench.ticks(9, unseen=[other])
@@ -218,7 +218,7 @@ def test_a_leg_with_an_unknown_leap_does_not_contradict_a_late_latch(other):
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_a_leg_that_moves_alone_may_leap_by_a_late_latch_plus_forces(leg, sign):
+def test_leg_that_moves_alone_may_have_a_rate_jump_of_a_late_sample_plus_forces(leg, sign):
     bound = 16.0 * T * (1.0 + 4.0 / 3.0)
     largest = bound + residuals.TIME_LEAPS * 0.3 * 8.0
     for share, doubts in ((0.99, False), (1.01, True)):
@@ -235,7 +235,7 @@ def test_a_leg_that_moves_alone_may_leap_by_a_late_latch_plus_forces(leg, sign):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_stall_excuses_the_gap_beyond_noise_and_a_share_of_the_travel(leg):
+def test_stall_allows_the_length_change_beyond_noise_and_a_share_of_the_travel(leg):
     rates = RATES / 16.0
     bench = after(2, rate=rates, disturbance_m_s2=64.0, length_noise_m=1e-3, rate_error=0.125)
     bench.ticks(3, unseen=[leg])
@@ -246,6 +246,6 @@ def test_a_stall_excuses_the_gap_beyond_noise_and_a_share_of_the_travel(leg):
 
 @BOTH_SIGNS
 @pytest.mark.parametrize(("leap", "doubts"), [(0.9e-9, False), (1.1e-9, True)])
-def test_leaps_up_to_1_nm_per_s_are_always_allowed(leap, doubts, sign):
+def test_rate_jumps_up_to_1_nm_per_s_are_always_allowed(leap, doubts, sign):
     tick = after(4, open_ticks=0).tick(rate=six(sign * leap, 2))
     assert doubted(tick, Doubt.LEAP, 2, sign * leap, 1e-9) if doubts else calm(tick)

@@ -41,7 +41,7 @@ def book_pose(t):
     return HOME[0] + k * (np.array(knot["p"]) - HOME[0]), rotation(k * np.radians(knot["rotvec_deg"]))
 
 
-def test_the_books_trajectory_is_tracked_at_1_kHz_without_a_jump():
+def test_textbook_trajectory_is_estimated_at_1_kHz_without_a_jump_of_the_pose():
     estimator = Estimator(PLATFORM, *HOME)
     worst = 0.0
     for k in range(1, 1001):
@@ -112,7 +112,7 @@ def test_a_cold_start_in_a_wrong_assembly_mode_is_reported():
     assert wrong > 10
 
 
-def test_acquire_bridges_a_gap_and_reset_restores_the_start():
+def test_pose_search_finds_a_distant_pose_and_reset_restores_the_start_pose():
     p, R = book_pose(0.9)
     q = leg_lengths(PLATFORM, p, R)
     estimator = Estimator(PLATFORM, *HOME)
@@ -128,7 +128,7 @@ def test_acquire_bridges_a_gap_and_reset_restores_the_start():
 
 
 @pytest.mark.parametrize("bad", [np.nan, -5.0, 50.0])
-def test_invalid_lengths_keep_the_last_pose(bad):
+def test_invalid_leg_lengths_leave_the_estimated_pose_unchanged(bad):
     estimator = Estimator(PLATFORM, *HOME)
     q = leg_lengths(PLATFORM, *HOME)
     q[3] = bad

@@ -60,7 +60,7 @@ def test_received_controller_frame_means_a_second_controller(mode):
         assert bench.cycle.faults == Fault.SECOND_CONTROLLER, name
         assert out.row["foreign"] == kind
         assert f"frames received from it: {kind.name}" in fault_text(bench.cycle)
-        assert estops(out.frames) == (mode in POWERED), "at rest the drives are not ours to stop"
+        assert estops(out.frames) == (mode in POWERED), "unpowered drives must get no emergency stop"
         if mode is not Mode.APPROACH:
             break  # one of them stands for the others
 
@@ -94,7 +94,7 @@ def test_emergency_stop_is_repeated_until_the_last_drive_confirms(bench):
     bench.drives.statuses += told(4, DriveFault.ESTOP)
     assert [estops(bench.step().frames) for _ in range(50)] == [0] * 50
     bench.drives.state[2] = DriveState.OFF
-    assert estops(bench.step().frames) == 1, "somebody has cleared it"
+    assert estops(bench.step().frames) == 1, "emergency stop is sent again after a drive left FAULT"
 
 
 @pytest.mark.parametrize("late", [False, True])

@@ -102,7 +102,7 @@ class Plain:
         self.p, self.R, self.twist = self.moved(d)
 
 
-def test_filter_agrees_with_a_plain_one_with_a_lost_leg_and_a_tracker():
+def test_filter_with_a_lost_leg_and_a_tracker_agrees_with_a_textbook_kalman_filter():
     truth = Truth(1)
     plain, found = Plain(truth), estimator(start=truth)
     found._covariances[0][12:, 12:] = found.record[["q_stamp", "q_position", "q_rotation"]] = 0.0
@@ -182,7 +182,7 @@ def test_errors_of_the_filter_agree_with_its_covariance(lost, imu):
 
 
 @pytest.mark.parametrize("imu", [None, IMU], ids=["alone", "beside an IMU"])
-def test_late_sample_gives_the_same_state_as_a_prompt_one(imu):
+def test_late_sensor_sample_gives_the_same_filter_state_as_a_prompt_one(imu):
     """Samples of every third tick arrive together in every seventh tick."""
     truth = Truth(3)
     prompt, tardy = (estimator(start=truth, imu=imu) for _ in range(2))
@@ -204,7 +204,7 @@ def test_late_sample_gives_the_same_state_as_a_prompt_one(imu):
     assert all(np.array_equal(x, y) for x, y in zip(state_of(prompt), state_of(tardy), strict=True))
 
 
-def test_sample_too_old_or_from_the_future_is_ignored():
+def test_sensor_sample_too_old_or_from_the_future_is_ignored_by_the_filter():
     truth = Truth(5)
     found, without = estimator(start=truth), estimator(start=truth)
     for tick in range(1, 60):
@@ -269,7 +269,7 @@ def test_filter_finds_an_unreported_force_along_a_leg():
         assert all(fused.used)
     x, P = state_of(found)
     std = np.sqrt(P.diagonal()[12:18])
-    assert std.max() < 200.0, "of 500 N before anything was measured"
+    assert std.max() < 200.0, "the initial deviation of 500 N must fall by the measurements"
     assert np.abs((x[24:30] - truth.unknown) / std).max() < 3
     e = error(fused, truth)
     assert e @ np.linalg.solve(P[:12, :12], e) / 12 < 2
@@ -319,4 +319,4 @@ def test_second_order_terms_of_a_length_agree_with_random_poses():
         mean, variance = bend(f, tuple(B[leg]), x, P, h, l)
         assert mean == pytest.approx(bent.mean(), abs=0.02 * bent.std())
         assert variance == pytest.approx(bent.var(), rel=0.03)
-    assert bend(f, tuple(B[0]), x, 1e-14 * np.eye(12), h, l) == (0.0, 0.0), "of a pose that is well known"
+    assert bend(f, tuple(B[0]), x, 1e-14 * np.eye(12), h, l) == (0.0, 0.0), "zero for an exactly known pose"

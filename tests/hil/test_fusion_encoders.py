@@ -73,7 +73,7 @@ def test_single_outliers_are_never_reported_as_a_slip():
     assert used == [tick % SLIP_TICKS == 0 for tick in range(100, 100 + 4 * SLIP_TICKS)]
 
 
-def test_leg_with_an_error_below_a_slip_is_accepted_after_a_while():
+def test_leg_with_an_encoder_error_too_small_for_a_slip_is_used_again_after_a_while():
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     q[1] += 0.1e-3
@@ -83,7 +83,7 @@ def test_leg_with_an_error_below_a_slip_is_accepted_after_a_while():
     assert not found.record["slipped"].any()
 
 
-def test_silent_leg_and_blind_leg_are_lost_and_recover():
+def test_silent_leg_and_leg_without_encoder_are_left_out_of_the_filter_and_recover():
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     for tick in range(100, 110):
@@ -98,7 +98,7 @@ def test_silent_leg_and_blind_leg_are_lost_and_recover():
     assert not any(fused.health.lost)
 
 
-def test_age_of_a_leg_that_may_be_lost_does_not_count():
+def test_feedback_age_of_a_leg_that_may_be_lost_counts_as_zero():
     settings = FusionSettings(may_lose_legs=[2])
     truth = Truth(7)
     found = FusedEstimator(PLATFORM, Model(PLATFORM), settings, LEGS, TRACKER, None, T)
@@ -124,7 +124,7 @@ def test_tracker_bounds_the_uncertainty_with_a_lost_leg():
         if tick == 1999:
             with_it = fused.health.position_std
     assert with_it < 0.4e-3
-    assert fused.health.position_std > 10 * with_it, "a second without"
+    assert fused.health.position_std > 10 * with_it, "the uncertainty must grow in a second without tracker"
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -142,7 +142,7 @@ def test_tracker_sample_with_one_outlier_component_is_rejected(word, sign):
     assert update(found, 101, m, [right])["tracker"] == 1
 
 
-def test_columns_of_the_estimate_are_consistent():
+def test_columns_of_the_fused_estimate_are_consistent():
     """One leg is an outlier and rejected."""
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
@@ -175,7 +175,7 @@ def pushed():
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("share", [0.0, -1.0], ids=["dead", "of the wrong sign"])
-def test_leg_with_a_wrong_rate_is_rejected(pushed, leg, share):
+def test_leg_with_a_wrong_rate_is_rejected_by_the_filter(pushed, leg, share):
     found = estimator(FusionSettings(), LEGS)
     scale = np.where(np.arange(6) == leg, share, 1.0)
     truth, ticks = pushed

@@ -45,7 +45,7 @@ PATIENCE = round(SILENT_SAMPLES / TRACKER.rate_Hz / T)
 
 @pytest.mark.parametrize("stamped", [3, 4, 5, 6, 7])
 @pytest.mark.parametrize("offset_s", [-4e-4, 0.0, 4e-4])
-def test_sample_of_a_skipped_tick_is_used_at_its_own_instant(stamped, offset_s):
+def test_sensor_sample_of_a_skipped_tick_is_used_at_its_own_instant(stamped, offset_s):
     """A platform with a speed above 1 m/s; ticks 4 to 6 are skipped."""
     start = Truth(4)
     velocity = np.array([1.0, -0.5, 0.25])
@@ -117,7 +117,7 @@ def driven(forces: Any, ages: Any = 0, blind: Any = 0) -> Any:
     return altered(m, drive_force=forces, drive_state=[DriveState.RUN] * 6, age=ages, blind=blind)
 
 
-def test_interval_uses_the_mean_of_the_forces_at_its_ends():
+def test_filter_uses_the_mean_of_the_leg_forces_at_both_ends_of_an_interval():
     found = estimator()
     forces = []
     said = [np.arange(6.0), -2.0 * np.arange(6.0), np.full(6, 10.0)]
@@ -129,7 +129,7 @@ def test_interval_uses_the_mean_of_the_forces_at_its_ends():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_force_of_a_blind_drive_is_reported_and_of_a_silent_one_commanded(leg):
+def test_filter_uses_the_reported_force_of_a_drive_without_encoder_and_the_commanded_if_silent(leg):
     found = estimator()
     other = (leg + 1) % 6
     ages = [7 * (i in {leg, other}) for i in range(6)]
@@ -142,7 +142,7 @@ def test_force_of_a_blind_drive_is_reported_and_of_a_silent_one_commanded(leg):
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("state", [DriveState.READY, DriveState.OFF, DriveState.FAULT])
-def test_forces_are_ignored_while_one_brake_is_closed(leg, state):
+def test_filter_ignores_leg_forces_while_one_brake_is_closed(leg, state):
     """A closed brake balances the forces, and afterwards their mean starts again."""
     found, forces = estimator(), []
     states = [state if i == leg else DriveState.RUN for i in range(6)]
@@ -160,7 +160,7 @@ def test_forces_are_ignored_while_one_brake_is_closed(leg, state):
 
 @pytest.mark.parametrize("odd", ["", "brake", "leg", "leg that is silent"])
 @pytest.mark.parametrize("leg", [0, 5])
-def test_speed_is_zero_while_all_brakes_are_closed(odd, leg):
+def test_filter_assumes_zero_speed_while_all_brakes_are_closed(odd, leg):
     """5 mm/s of a leg with fresh feedback is motion; the last reading of a silent leg is not."""
     found, at = estimator(), np.arange(6) == leg
     twist = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
@@ -243,7 +243,7 @@ def test_each_setting_of_the_filter_sets_its_own_constant():
 fill = kernel(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)
 
 
-def test_state_with_nan_has_a_nan_residual():
+def test_filter_state_with_nan_has_a_nan_residual():
     s = np.zeros((), STEP)
     s["x"][0:3], s["x"][3:12] = np.nan, np.eye(3).ravel()
     s["used"] = 1

@@ -89,7 +89,7 @@ def test_turns_of_a_geared_motor_are_reported_as_fractions():
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_leg_beyond_its_limit_is_refused_until_it_is_back(leg, side):
+def test_leg_moved_beyond_its_limit_since_parking_is_refused_until_it_is_back(leg, side):
     legs = Leg()
     here = PARKED + 1.1 * side * LIMIT * only(leg)
     legs.hear(forgotten(here))
@@ -108,7 +108,7 @@ def test_leg_beyond_its_limit_is_refused_until_it_is_back(leg, side):
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_each_leg_has_its_own_limit(leg, side):
+def test_each_leg_has_its_own_limit_of_motion_since_parking(leg, side):
     limits, there = 2.0**-12 * np.array([3, 1, 6, 2, 5, 4]), np.full(6, 0.25)
     for beyond, known in ((0.0, True), (2.0**-40, False)):
         legs = Leg(length=there, limit_m=limits, step_m=np.full(6, 2.0**-8))
@@ -131,7 +131,7 @@ def test_drive_with_a_position_range_inside_the_stroke_is_refused(leg, low, high
 
 
 @pytest.mark.parametrize(("old", "known"), [(1, True), (2, False)])
-def test_first_reading_gives_the_turn_if_at_most_one_tick_old(old, known):
+def test_first_reading_at_most_one_tick_old_restores_the_motor_turns(old, known):
     legs = Leg()
     legs.hear(forgotten(PARKED), late=(3,), by=old)
     assert legs.homing.known is known
@@ -160,7 +160,7 @@ def test_jump_of_half_a_turn_in_a_tick_means_a_drive_restart(share, known):
     ],
     ids=["heard", "silent", "silent and late", "one skipped", "four skipped"],
 )
-def test_turns_of_a_moving_leg_follow_from_its_last_rate(legs_that, ticks):
+def test_motor_turns_of_a_moving_leg_are_restored_from_its_last_rate(legs_that, ticks):
     """0.7 of a turn in each tick, for every leg."""
     legs, speed, moved = Leg(), 0.7 * STEP / PERIOD_S, PARKED.copy()
     these = np.isin(np.arange(6), legs_that)
@@ -177,7 +177,7 @@ def test_turns_of_a_moving_leg_follow_from_its_last_rate(legs_that, ticks):
 
 
 @pytest.mark.parametrize("silent_ticks", [0, SILENT_TICKS + 1])
-def test_drive_restarted_with_its_brake_closed_is_restored(silent_ticks):
+def test_motor_turns_of_a_drive_restarted_with_closed_brake_are_restored(silent_ticks):
     """Restored to its last length, not to its parked length."""
     legs, moved = Leg(), PARKED.copy()
     legs.hear(forgotten(moved), braked=False)
@@ -191,7 +191,7 @@ def test_drive_restarted_with_its_brake_closed_is_restored(silent_ticks):
 
 
 @pytest.mark.parametrize("silent_ticks", [1, SILENT_TICKS + 2])
-def test_drive_restarted_with_its_brake_open_stays_unknown(silent_ticks):
+def test_motor_turns_of_a_drive_restarted_with_open_brake_stay_unknown(silent_ticks):
     legs = Leg()
     legs.hear(forgotten(PARKED))
     for _ in range(silent_ticks):
@@ -206,7 +206,7 @@ def test_drive_restarted_with_its_brake_open_stays_unknown(silent_ticks):
 
 
 @pytest.mark.parametrize(("ticks", "known"), [(SILENT_TICKS, True), (SILENT_TICKS + 1, False)])
-def test_drive_silent_too_long_with_its_brake_open_is_not_trusted(ticks, known):
+def test_motor_turns_of_a_drive_silent_too_long_with_open_brake_become_unknown(ticks, known):
     legs = Leg()
     legs.hear(forgotten(PARKED))
     for _ in range(ticks):
@@ -253,7 +253,7 @@ def test_brakes_once_open_count_as_open_until_a_reset():
     assert not legs.homing.opened
 
 
-def test_reset_clears_the_drive_with_unknown_turns():
+def test_reset_clears_the_refusal_of_a_drive_with_unknown_motor_turns():
     legs = Leg()
     legs.hear(forgotten(PARKED), braked=False)
     for _ in range(SILENT_TICKS + 2):

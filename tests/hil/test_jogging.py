@@ -114,21 +114,21 @@ def test_jog_stops_smoothly_just_inside_the_limit_with_a_reason(name, fraction):
     q = np.array([lengths(s.p, s.R) for s in samples])
     assert q.min() >= box.low
     assert q.max() <= box.high
-    assert min(q[-1].min() - box.low, box.high - q[-1].max()) < 3e-4, "it uses what room there is"
+    assert min(q[-1].min() - box.low, box.high - q[-1].max()) < 3e-4, "uses the stroke up to the limit"
     assert not samples[-1].twist.any()
     assert answers[0] == ""
     assert f"jog {name}: stopped, since farther on a leg would be outside" in answers[-1]
     refused = [why != "" for why in answers]
-    assert refused == sorted(refused), "it does not take the same way again while its words keep coming"
+    assert refused == sorted(refused), "a refused jog must stay refused while its commands repeat"
     v = np.array([s.twist for s in samples])
     a = np.array([s.dtwist for s in samples])
     np.testing.assert_allclose(np.diff(v, axis=0) * 1e3, 0.5 * (a[1:] + a[:-1]), atol=2e-3)
     highest = np.array([SPEED, np.deg2rad(TURN_deg_s)])
     assert (speed(samples).max(axis=0) <= highest * (1 + 1e-3)).all()
     still = np.flatnonzero(v.any(axis=1))[-1]
-    assert (np.diff(v[:still].any(axis=1).astype(int)) >= 0).all(), "it stops once and does not creep"
+    assert (np.diff(v[:still].any(axis=1).astype(int)) >= 0).all(), "the platform stops once without creeping"
     back, _ = held.run(100, jog(name, -fraction))
-    assert back[0] == "", "the other way is free"
+    assert back[0] == "", "the jog in the opposite direction must be accepted"
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def step(both, first, last, key=True):
 
 
 @pytest.mark.parametrize(("heard", "answered"), [(99, True), (100, False)])
-def test_jog_towards_a_limit_is_tried_again_after_a_pause_of_100_ms(heard, answered):
+def test_jog_refused_at_a_limit_is_accepted_again_only_after_a_pause_of_100_ms(heard, answered):
     both = made(lambda _: int(Refusal.STROKE))
     take(both, WORD, 7)
     step(both, 7, 8)
@@ -49,7 +49,7 @@ def test_jog_towards_a_limit_is_tried_again_after_a_pause_of_100_ms(heard, answe
 
 @pytest.mark.parametrize("left_s", [0.0, 20.0])
 @pytest.mark.parametrize(("name", "deg_s"), [("x", 5.0), ("ry", 5.0), ("leg4", 0.7), ("-leg4", 0.7)])
-def test_checked_pose_is_the_one_reached_by_braking_from_the_next_tick(name, deg_s, left_s):
+def test_jog_is_checked_at_the_pose_reached_by_braking_from_the_next_tick(name, deg_s, left_s):
     judged = []
 
     def note(chi):
@@ -67,6 +67,6 @@ def test_checked_pose_is_the_one_reached_by_braking_from_the_next_tick(name, deg
     step(both, 140, 700)
     assert both[1].resting
     assert len(judged) == 90
-    assert np.abs(judged[0] - here).max() < 1e-8, "it begins where it is"
+    assert np.abs(judged[0] - here).max() < 1e-8, "the first checked pose must be the present pose"
     np.testing.assert_allclose(judged[-1], six_words(both[1].sample(700)), rtol=0, atol=1e-10)
     assert np.abs(judged[-1] - here).max() > 1e-4

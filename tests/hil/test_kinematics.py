@@ -35,7 +35,7 @@ def rotation(r):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_state_agrees_with_the_rigid_body_engines(case):
+def test_lengths_jacobian_rates_and_accelerations_agree_with_rigid_body_engines(case):
     platform = PLATFORMS[case["geometry"]]
     p, R, twist, dtwist, *_ = state_of(case)
     e = case["expected"]
@@ -61,7 +61,7 @@ def test_forward_kinematics_finds_the_pose_from_the_given_guess(case):
     assert pose.iterations <= e["fk_newton_iterations"] + 1
 
 
-def test_lengths_and_condition_agree_with_the_book():
+def test_leg_lengths_and_condition_number_agree_with_the_textbook():
     for s in BOOK["states"]:
         R = rotation(s["rotvec"])
         assert relative(leg_lengths(PLATFORM, s["p"], R), s["length"]) <= 1e-9
@@ -70,7 +70,7 @@ def test_lengths_and_condition_agree_with_the_book():
 
 
 @pytest.mark.parametrize("number", range(40))
-def test_newton_converges_to_each_nearby_assembly_of_dietmaier(number):
+def test_newton_iteration_converges_to_each_nearby_assembly_mode_of_dietmaiers_platform(number):
     a, b = np.array(DIETMAIER["base"]), np.array(DIETMAIER["platform"])
     solution = DIETMAIER["solutions"][number]
     p, R = np.array(solution["p"]), np.array(solution["R"])
@@ -102,7 +102,7 @@ def study(a, b, home, tilt, count=300):
     return np.mean(iterations), max(iterations)
 
 
-def test_tracking_within_15_degrees_takes_at_most_four_iterations():
+def test_forward_kinematics_within_15_degrees_of_its_guess_takes_at_most_four_iterations():
     published = LINUXCNC["fk_iteration_study"]["linuxcnc_default_inch|tilt15|track(0.05%,0.1deg)"]
     a, b = np.array(LINUXCNC["base"], float), np.array(LINUXCNC["platform"], float)
     for x, y, home in (
@@ -116,7 +116,7 @@ def test_tracking_within_15_degrees_takes_at_most_four_iterations():
 
 @given(SMALL, SMALL)
 @settings(max_examples=100)
-def test_jacobian_is_the_derivative_of_the_lengths(x, twist):
+def test_jacobian_is_the_derivative_of_the_leg_lengths(x, twist):
     """d/dt of |p + R b - a| by central differences, along p + t v, exp(t w) R."""
     p, R, h = HOME[0] + x[:3], rotation(x[3:]), 1e-5
 
@@ -149,7 +149,7 @@ def test_rotation_stays_orthogonal_over_ten_thousand_ticks():
     assert np.abs(R.T @ R - np.eye(3)).max() <= 1e-15
 
 
-def test_continuation_from_a_cold_start_agrees_with_small_steps():
+def test_continued_kinematics_from_a_distant_start_agree_with_newton_in_small_steps():
     rng = np.random.default_rng(3)
     for _ in range(30):
         p, R = HOME[0] + rng.uniform(-0.2, 0.2, 3), rotation(np.radians(rng.uniform(-20, 20, 3)))

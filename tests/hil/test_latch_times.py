@@ -48,14 +48,14 @@ def protocol(name):
         ("desktop", [1_001, 1_002, 1_003, 1_004, 1_005, 1_006], (1, 2, 3, 4, 5, 6)),
     ],
 )
-def test_sampling_instant_is_the_sync_of_the_bus_or_the_poll_of_the_leg(name, sent_ns, latches):
+def test_sampling_instant_of_a_leg_is_the_sync_of_its_bus_or_its_own_poll(name, sent_ns, latches):
     family = protocol(name)
     syncs = {"virtual-cia402": [SYNC], "two_buses": [SYNC, Frame(0x80, b"", BUS)]}
     assert latch_ns(family, syncs.get(name) or opening(family, 0), sent_ns, 1_000) == latches
 
 
 @pytest.mark.parametrize("first", [0, 3, 5])
-def test_first_answer_corrects_a_late_clock_reading(first):
+def test_sampling_instant_is_corrected_by_the_first_answer_after_a_late_clock_reading(first):
     """SYNC is written at 1 ms; the clock is read after a stall of 1.5 ms."""
     answers = [
         Received(1_000_000 + 190_000 + 135_000 * n, TPDO[leg])
@@ -65,7 +65,7 @@ def test_first_answer_corrects_a_late_clock_reading(first):
     assert found == [1_079_000]
 
 
-def test_only_newer_feedback_of_the_same_bus_corrects_the_clock():
+def test_sampling_instant_is_corrected_only_by_newer_feedback_of_the_same_bus():
     family, late_ns = protocol("virtual-cia402"), 2_500_000
     wrong = [
         Received(1_110_999, TPDO[0]),  # on the wire before SYNC was given to the bus
@@ -94,7 +94,7 @@ def answer_of_two(tick):
     return Received(1_200_000, dict(reply(end, sync, reading_of(zeros, zeros, zeros, states)))[0])
 
 
-def test_answer_to_an_older_sync_or_a_damaged_one_is_not_used():
+def test_sampling_instant_is_not_corrected_by_an_answer_to_an_older_sync_or_a_damaged_one():
     """After a stall of 1.5 ms before SYNC, the pending answer of a drive arrives."""
     two, late_ns, opening = protocol("two_buses"), 2_500_000, [SYNC, Frame(0x80, b"", BUS)]
     for tick, answer, expected in [
@@ -117,7 +117,7 @@ def flipped(answer):
 
 
 @pytest.mark.parametrize("given_ns", [1_000_090, 1_000_900])
-def test_answer_on_vcan_may_arrive_before_the_clock_is_read(given_ns):
+def test_answer_on_virtual_can_may_arrive_before_the_clock_is_read(given_ns):
     """Such an answer must not count as one to an older SYNC, which would make its leg stale."""
     answers = [Received(1_000_050 + leg, TPDO[leg]) for leg in range(6)]
     found = checked(protocol("virtual-cia402"), [SYNC], [given_ns], answers, 0, 1_000_000, given_ns, 0)
@@ -125,7 +125,7 @@ def test_answer_on_vcan_may_arrive_before_the_clock_is_read(given_ns):
 
 
 @pytest.mark.parametrize(("given_ns", "answer_ns"), [(1_100_000, ANSWER), (1_050_000, 50_000)])
-def test_slow_send_is_corrected_by_its_answers(given_ns, answer_ns):
+def test_sampling_instant_after_a_slow_send_is_corrected_by_the_answers(given_ns, answer_ns):
     answers = [Received(1_000_000 + answer_ns, TPDO[0])]
     late, prompt = (
         checked(protocol("virtual-cia402"), [SYNC], [sent_ns], answers, 0, 1_000_000, sent_ns, answer_ns)

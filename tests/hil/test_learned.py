@@ -96,7 +96,7 @@ BUMPLESS = 1.05 * 1.875 * PEAK * T / FADE_S
 def test_learned_forces_start_in_the_approach_and_follow_path_time() -> None:
     run = Run().tracking(900)
     forces = np.array(run.seen)
-    assert not forces[: WAY - 400].any(), "nothing was learned of what is before"
+    assert not forces[: WAY - 400].any(), "no learned force may act before the recorded approach"
     whole = slice(WAY - 400 + 60, None)
     expected = np.array([table(START + k) for k in range(len(forces))])
     np.testing.assert_allclose(forces[whole], expected[whole], rtol=1e-9)
@@ -104,10 +104,10 @@ def test_learned_forces_start_in_the_approach_and_follow_path_time() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.5])
-def test_hold_or_other_speed_fades_them_out_until_the_next_start(speed: float) -> None:
+def test_hold_or_other_speed_fades_learned_forces_out_until_the_next_start(speed: float) -> None:
     run = Run().tracking(300)
     assert run.go(60, speed=speed)[-1] == pytest.approx(np.zeros(6))
-    assert not run.go(300, speed=1.0).any(), "not in the middle of the way"
+    assert not run.go(300, speed=1.0).any(), "learned forces must not start in the middle of the path"
     assert run.motion.override.full
     assert not run.motion.away
     assert run.largest_step() < BUMPLESS
@@ -116,7 +116,7 @@ def test_hold_or_other_speed_fades_them_out_until_the_next_start(speed: float) -
 
 
 @pytest.mark.parametrize("where", ["in the approach", "at the start"])
-def test_hold_before_the_reference_fades_them_out_and_in_again(where: str) -> None:
+def test_hold_before_the_reference_fades_learned_forces_out_and_in_again(where: str) -> None:
     run = Run()
     run.enter(Mode.APPROACH)
     assert run.go(WAY if where == "at the start" else WAY - 300)[-1].all()
@@ -128,7 +128,7 @@ def test_hold_before_the_reference_fades_them_out_and_in_again(where: str) -> No
     assert run.largest_step() < BUMPLESS
 
 
-def test_forces_fade_in_only_after_the_earlier_ones_have_faded_out() -> None:
+def test_learned_forces_fade_in_only_after_the_earlier_ones_have_faded_out() -> None:
     """The speed rises faster than the forces fade; meanwhile the table changes by 4 N a tick."""
     run = Run()
     rows = np.repeat(4.0 * np.arange(1400.0)[:, None], 6, axis=1)
@@ -160,7 +160,7 @@ def test_first_fault_disables_learned_forces_until_a_reset() -> None:
     assert run.tracking(100).go(1).all()
 
 
-def test_last_force_is_kept_until_the_brakes_are_closed() -> None:
+def test_last_learned_force_is_kept_while_parking_until_the_brakes_are_closed() -> None:
     run = Run().tracking(1001)
     last = run.seen[-1]
     run.mode, run.mode_tick = Mode.PARKING, run.tick + 1

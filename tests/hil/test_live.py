@@ -58,7 +58,7 @@ def now(monkeypatch):
         (12.34, None, "  12.3 s"),
     ],
 )
-def test_tracking_shows_progress_error_force_stale_and_skipped(done_s, of_s, progress):
+def test_status_line_in_tracking_shows_progress_error_force_stale_and_skipped_ticks(done_s, of_s, progress):
     out = Out()
     given = rows(2, mode=Mode.TRACKING, reference_time_s=done_s, skipped=1, lateness_ns=[41_000, 0])
     given["warnings"] = [int(Warn.STALE | Warn.FORCE_LIMIT), int(Warn.FORCE_LIMIT)]
@@ -71,7 +71,7 @@ def test_tracking_shows_progress_error_force_stale_and_skipped(done_s, of_s, pro
 
 
 @pytest.mark.parametrize(("terminal", "apart_s"), [(True, 0.2), (False, 5.0)])
-def test_line_is_drawn_every_0_2_s_on_a_terminal_and_else_every_5_s(now, terminal, apart_s):
+def test_status_line_is_drawn_every_0_2_s_on_a_terminal_and_else_every_5_s(now, terminal, apart_s):
     out = Out(terminal)
     view = LiveView(out, None)
     drawn = []
@@ -85,7 +85,7 @@ def test_line_is_drawn_every_0_2_s_on_a_terminal_and_else_every_5_s(now, termina
 
 
 @pytest.mark.parametrize("columns", [40, 80])
-def test_line_fits_in_one_row_of_the_terminal(columns):
+def test_status_line_fits_in_one_row_of_the_terminal(columns):
     ours, theirs = os.openpty()
     with os.fdopen(theirs, "w", encoding="utf-8") as out:
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
@@ -105,7 +105,7 @@ def test_broken_terminal_does_not_stop_the_recorder(now):
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_end_clears_the_line_on_a_terminal_only(terminal):
+def test_end_of_a_run_clears_the_status_line_on_a_terminal_only(terminal):
     out = Out(terminal)
     view = LiveView(out, None)
     view.show(rows(1))

@@ -114,7 +114,7 @@ def test_reading_in_blocks_needs_memory_for_one_block_only(tmp_path):
 
 
 @pytest.mark.parametrize("fraction", [0.15, 0.5, 0.98])
-def test_cut_log_gives_the_same_data_as_its_salvage(path, tmp_path, fraction):
+def test_truncated_log_gives_the_same_data_as_its_salvaged_copy(path, tmp_path, fraction):
     size = int(path.stat().st_size * fraction)
     bad = tmp_path / "cut.mcap"
     bad.write_bytes(path.read_bytes()[:size])
@@ -128,7 +128,7 @@ def test_cut_log_gives_the_same_data_as_its_salvage(path, tmp_path, fraction):
     frames = sum(len(tick.received) + len(tick.sent) for tick in TICKS[: report.ticks])
     assert (log.summary[:2], log.summary.closed) == ((report.ticks, frames), "cut")
     t_ns = log.rows("t_ns")["t_ns"]
-    assert log.summary.duration_s == pytest.approx(1e-9 * (t_ns[-1] - t_ns[0]), abs=2e-3), "over all chunks"
+    assert log.summary.duration_s == pytest.approx(1e-9 * (t_ns[-1] - t_ns[0]), abs=2e-3), "of all chunks"
     assert log.configuration == CONFIGURATION
     whole = Log(tmp_path / "whole.mcap")
     assert whole.cut == ""
@@ -145,7 +145,7 @@ def test_messages_outside_chunks_are_refused(path, tmp_path):
             read()
 
 
-def test_missing_empty_foreign_and_cut_files_are_refused(path, tmp_path):
+def test_missing_empty_foreign_and_truncated_log_files_are_refused(path, tmp_path):
     with pytest.raises(LogError, match="no such file"):
         Log.open(tmp_path / "nothing.mcap")
     with pytest.raises(LogError, match="cannot be read"):
@@ -168,7 +168,7 @@ def test_missing_empty_foreign_and_cut_files_are_refused(path, tmp_path):
         Log.open(bad)
 
 
-def test_damaged_chunk_is_reported_with_its_place(path, tmp_path):
+def test_damaged_chunk_of_a_log_is_reported_with_its_place(path, tmp_path):
     index = mcap_summary(path).chunk_indexes[1]
     content = bytearray(path.read_bytes())
     content[index.chunk_start_offset + index.chunk_length // 2] ^= 0x10
@@ -299,7 +299,7 @@ def test_second_attachment_of_the_same_name_is_ignored(path, tmp_path):
 
 
 @pytest.mark.parametrize("first", [0, 40])
-def test_span_is_measured_from_the_first_row_of_the_log(parts, chunked, first):
+def test_time_span_to_read_is_measured_from_the_first_row_of_the_log(parts, chunked, first):
     """The first recorded row is at 12 345 ns; one row each ms."""
     log = chunked(parts.rows[first : first + 9], parts.rows[first + 9 : first + 12])
     for span, ticks in (
@@ -322,7 +322,7 @@ def test_frames_of_several_chunks_are_sorted_by_time_then_place(received, tmp_pa
 
 
 @pytest.mark.parametrize(("left_out", "ticks"), [(1, 4), (60, 4), (400, 3)])
-def test_cut_chunk_gives_all_ticks_but_the_last_incomplete_one(parts, tmp_path, left_out, ticks):
+def test_truncated_chunk_gives_all_ticks_but_the_last_incomplete_one(parts, tmp_path, left_out, ticks):
     """The frame of the fifth tick is cut off, or a part of its row."""
     inside = [each for pair in zip(parts.rows[:5], parts.frames[:5], strict=True) for each in pair]
     log = Log(parts.cut(tmp_path / "a.mcap", inside, left_out))

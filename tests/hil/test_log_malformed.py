@@ -86,7 +86,7 @@ FOOTER = struct.pack("<BQQQI", container.FOOTER, 20, 0, 0, 0)
         (MAGIC + FOOTER + MAGIC, "damaged at byte 37: no valid record"),
     ],
 )
-def test_too_short_file_is_reported_as_cut_or_as_not_a_log(tmp_path, content, says):
+def test_too_short_file_is_reported_as_truncated_or_as_not_a_log(tmp_path, content, says):
     (tmp_path / "a.mcap").write_bytes(content)
     with pytest.raises(LogError, match=says):
         Log(tmp_path / "a.mcap")
@@ -102,7 +102,7 @@ def test_invalid_record_in_a_complete_file_is_reported_with_its_place(path, dama
 
 @pytest.mark.parametrize("there", [0, 5, 9, 10, 12, 13, 14, 20])
 @pytest.mark.parametrize("within", ["summary", "end of the data"])
-def test_log_cut_within_its_last_records_gives_all_its_ticks(path, tmp_path, within, there):
+def test_log_truncated_within_its_last_records_gives_all_its_ticks(path, tmp_path, within, there):
     data = path.read_bytes()
     end = data.index(struct.pack("<I", 7) + b"summary") - 9
     if within != "summary":
@@ -126,7 +126,7 @@ def test_change_in_the_attached_configuration_is_found(path, damaged, remade):
     with pytest.raises(LogError, match=r"damaged at byte \d+: .* attachment 'config.yaml' .* --salvage"):
         Log(damaged(at, b"30"))
     unchecked = remade(lambda r: replaced(r, container.ATTACHMENT, lambda c: c[:-4] + bytes(4)))
-    assert Log.open(unchecked).configuration, "its writer may have made no checksum"
+    assert Log.open(unchecked).configuration, "a log without checksums must be accepted"
 
 
 def test_changed_metadata_are_found_by_the_data_section_checksum(path, damaged):
@@ -222,7 +222,7 @@ def test_missing_or_binary_configuration_is_refused(remade):
         (Operator.SPEED, 2, 0, 1),
     ],
 )
-def test_command_with_a_wrong_number_of_values_is_refused(
+def test_logged_command_with_a_wrong_number_of_values_is_refused(
     tmp_path_factory, tmp_path, command, tick, count, allowed
 ):
     first, second, third = random_rows(3)
@@ -273,7 +273,7 @@ def test_damaged_length_of_a_chunk_loses_this_chunk_only(damaged, chunks, tmp_pa
         Log(bad).rows()
     report, log = whole_again(bad, tmp_path)
     assert len(mcap_summary(tmp_path / "out.mcap").chunk_indexes) == len(chunks) - 1
-    assert report.bytes_lost < chunks[1].chunk_length + 20_000, "and its index"
+    assert report.bytes_lost < chunks[1].chunk_length + 20_000, "the damaged chunk and its index are lost"
     lost = sorted(set(range(COUNT)) - set(log.rows()["tick"].tolist()))
     assert lost
     assert lost == list(range(lost[0], lost[-1] + 1))

@@ -30,7 +30,7 @@ def found_in(path, *skip, cut=False):
 # -- where records end -----------------------------------------------------------------------------------------
 
 
-def test_last_record_of_a_cut_file_is_read_as_far_as_it_goes(tmp_path):
+def test_last_record_of_a_truncated_file_is_read_as_far_as_it_goes(tmp_path):
     """Without a complete head it is not a record."""
     last = metadata("b", k="value")
     file, starts = placed(tmp_path, metadata("a"), last)
@@ -69,7 +69,7 @@ def test_data_checksum_covers_everything_before_the_data_end(tmp_path, parts):
     with pytest.raises(LogError, match=f"before byte {starts[len(parts)]}: the checksum of the data section"):
         found_in(bad)
     if parts:
-        assert found_in(bad, 0x0B, 0x0C) == [], "where kinds are passed over it is not compared"
+        assert found_in(bad, 0x0B, 0x0C) == [], "the checksum is not compared if kinds of records are skipped"
 
 
 def test_field_beyond_its_record_and_invalid_text_are_refused():
@@ -93,9 +93,9 @@ def test_record_above_the_size_limit_of_its_kind_is_refused(tmp_path, monkeypatc
     file, starts = placed(tmp_path, metadata("a"), raw(opcode, bytes(most + 1)), end)
     with pytest.raises(LogError, match=f"damaged at byte {starts[1]}: .* too long"):
         found_in(file)
-    assert opcode not in {each[0] for each in found_in(file, opcode)}, "what is passed over is not read"
+    assert opcode not in {each[0] for each in found_in(file, opcode)}, "a skipped kind of record is not read"
     file, starts = placed(tmp_path, struct.pack("<BQ", opcode, 1 << 40) + b"x" * (most + 1))
-    assert found_in(file, cut=True) == [(opcode, starts[0], b"x" * most, False)], "nor more than allowed"
+    assert found_in(file, cut=True) == [(opcode, starts[0], b"x" * most, False)], "not above the size limit"
 
 
 def test_attachment_above_the_size_limit_is_skipped(tmp_path, monkeypatch):
@@ -190,7 +190,7 @@ def test_chunk_above_the_unpacked_limit_is_refused_before_unpacking(name):
 
 
 @pytest.mark.parametrize("name", ["zstd", ""])
-def test_cut_chunk_gives_its_complete_messages(name):
+def test_truncated_chunk_gives_its_complete_messages(name):
     random = np.random.default_rng(3).bytes(200_000)  # zstd packs 128 KiB at once
     data = DATA + raw(5, struct.pack("<HIQQ", 7, 0, 7, 88) + random)
     content = chunk(name, PACK[name](data), size=len(data), crc=zlib.crc32(data))
@@ -201,7 +201,7 @@ def test_cut_chunk_gives_its_complete_messages(name):
         assert table.channel.tolist() == [3, 4]
     for size in range(len(chunk(name, b"")) + 1):
         assert unpacked(content[:size], complete=False)[0] == b""
-    assert unpacked(chunk("zstd", DATA), complete=False)[0] == b"", "damaged, too"
+    assert unpacked(chunk("zstd", DATA), complete=False)[0] == b"", "a damaged truncated chunk gives no data"
 
 
 # -- messages --------------------------------------------------------------------------------------------------
@@ -216,7 +216,7 @@ def test_message_of_less_than_22_bytes_is_refused():
 
 
 @pytest.mark.parametrize("left", [1, 8, 9, 15, 22, 23, 30])
-def test_incomplete_last_record_is_refused_unless_the_chunk_is_cut(left):
+def test_incomplete_last_record_is_refused_unless_the_chunk_is_truncated(left):
     data = message(3, 9, 0) + message(3, 9, 0)[:left]
     with pytest.raises(LogError, match=f"the last {left} bytes of a chunk are not a record"):
         split(data)

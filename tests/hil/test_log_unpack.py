@@ -103,7 +103,7 @@ def test_frames_agree_with_protobuf(log, messages):
     assert list(log.can_frames()) == sorted(expected, key=lambda each: each[0])
 
 
-def test_frames_of_a_tick_as_items_agree_with_its_tuples(log, messages):
+def test_binary_frame_items_of_a_tick_agree_with_its_frame_tuples(log, messages):
     assert_same(log.ticks(), RECORDED)
     sent_at = defaultdict(list)
     for message in messages["/can"]:
@@ -122,7 +122,7 @@ def test_frames_of_a_tick_as_items_agree_with_its_tuples(log, messages):
             assert items.flags.c_contiguous
 
 
-def test_tick_made_of_tuples_has_items_and_can_be_changed():
+def test_tick_changed_by_frame_tuples_gets_the_matching_binary_items():
     tick = RECORDED[5]
     frame = Frame(0x123, b"\x01\x02", FD | 3 * BUS)
     other = tick._replace(received=(Received(7, frame),), sent=(frame,))

@@ -32,7 +32,7 @@ DATA = Path(__file__).parents[1] / "data"
 VECTOR = st.lists(st.floats(-1.7, 1.7), min_size=3, max_size=3).map(np.array)
 
 
-def test_solve_agrees_with_lapack():
+def test_linear_solver_agrees_with_lapack():
     rng = np.random.default_rng(0)
     needs_pivoting = np.roll(np.eye(6), 1, axis=0)
     needs_pivoting[0, 0] = 1e-300
@@ -52,7 +52,7 @@ def test_a_singular_matrix_gives_nan_and_infinite_condition(bad):
     assert condition_kernel(bad, 1.0) == np.inf
 
 
-def test_condition_is_at_most_a_quarter_above_the_exact_value():
+def test_condition_number_estimate_is_at_most_a_quarter_above_the_exact_value():
     rng = np.random.default_rng(1)
     for k in range(300):
         U, _, V = np.linalg.svd(rng.normal(size=(6, 6)))
@@ -236,7 +236,7 @@ def test_a_sampled_double_integrator_agrees_with_textbooks():
         sampled.after(P)
 
 
-def test_stability_means_left_half_plane_or_unit_circle():
+def test_stability_of_a_system_means_poles_in_the_left_half_plane_or_unit_circle():
     assert first_order(5.0).is_stable()
     assert first_order(5.0).sampled(0.1).is_stable()
     assert not first_order(-5.0).is_stable()

@@ -81,7 +81,7 @@ def test_a_file_counts_as_being_written_until_its_end(end, tmp_path):
     file = with_chunks(path, 2)
     with path.open("rb") as reader:
         assert [being_written(path) for _ in range(2)] == [True, True]
-        assert reader.read() != b"", "it can be read meanwhile"
+        assert reader.read() != b"", "the file must be readable while it is written"
     file.add_metadata("end", {"why": "done"})
     assert being_written(path)
     end(file)

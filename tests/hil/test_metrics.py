@@ -17,7 +17,7 @@ from hil.trajectory.path import PoseSample
 from hil.trajectory.waypoints import waypoint_trajectory
 
 
-def test_peak_and_rms_of_a_sine_and_of_no_rows():
+def test_peak_and_rms_of_a_sine_are_exact_and_of_no_rows_zero_and_nan():
     t = np.linspace(0.0, 1.0, 4000, endpoint=False)
     x = np.column_stack([3.0 * np.sin(2 * np.pi * t), -2.0 * np.ones_like(t)])
     assert peak(x) == pytest.approx([3.0, 2.0], rel=1e-6)
@@ -103,12 +103,12 @@ def test_a_signal_without_response_or_rest_has_not_settled():
     assert not step_response(T, still, 2.0).settled
     assert not step_response(T, np.sin(2 * np.pi * 3 * T) + T, 0.0).settled
     assert np.isnan(bandwidth_Hz(T, still, 2.0))
-    assert np.isnan(bandwidth_Hz(T, np.ones_like(T), 0.0)), "an answer within one sample"
+    assert np.isnan(bandwidth_Hz(T, np.ones_like(T), 0.0)), "no bandwidth of a response within a sample"
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("by", "settled"), [(0.019, True), (0.021, False)])
-def test_a_response_has_settled_within_two_per_cent_of_its_step(by, settled, sign):
+def test_step_response_counts_as_settled_within_two_per_cent_of_its_step(by, settled, sign):
     """Nine of ten samples lie slightly on the other side of their mean."""
     t, y = np.linspace(0.0, 0.1, 100), np.ones(100)
     y[-10:] = 1.0 - sign * by / 9
@@ -135,7 +135,7 @@ def book():
     return Model(platform), waypoint_trajectory(path)
 
 
-def test_on_the_books_path_H_is_small_and_the_jacobian_rate_is_not(book):
+def test_coriolis_share_of_the_force_on_the_textbook_path_is_small_and_that_of_dJ_dt_is_not(book):
     """Independent figures: H at most 0.51 % of the force, (dJ/dt) twist 15.7 %, 1188 N."""
     model, path = book
     shares = force_shares(model, [path.sample(t) for t in np.linspace(0, 2 - 1e-12, 2001)])
@@ -144,7 +144,7 @@ def test_on_the_books_path_H_is_small_and_the_jacobian_rate_is_not(book):
     assert shares["J_dot"].force_N == pytest.approx(1188, abs=1)
 
 
-def test_at_rest_gravity_is_the_whole_force_in_either_position(book):
+def test_gravity_share_of_the_leg_forces_at_rest_is_one_above_and_below_the_base(book):
     model, path = book
     p, R, *rest = path.sample(-1.0)
     for pose in (p, -p):

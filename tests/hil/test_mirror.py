@@ -26,7 +26,7 @@ SMALL = tuple(Column("output", name, int, "", "", (), ()) for name in ("tick", "
 def until(found, seconds=10.0):
     end = time.monotonic() + seconds
     while not (value := found()):
-        assert time.monotonic() < end, "it did not come"
+        assert time.monotonic() < end, "the expected update of the mirror did not come"
         time.sleep(0.005)
     return value
 
@@ -50,7 +50,7 @@ def hammer(path, seconds):
         time.sleep(1e-4)
 
 
-def test_a_reader_of_a_fast_writer_sees_only_whole_pieces(tmp_path):
+def test_mirror_reader_sees_only_whole_updates_of_a_fast_writer(tmp_path):
     path = tmp_path / "m"
     writer = multiprocessing.get_context("spawn").Process(target=hammer, args=(path, 1.0))
     writer.start()
@@ -82,7 +82,7 @@ def show(mirror, number, events=b"[]"):
     mirror.write(row, figures, events)
 
 
-def test_pieces_are_read_as_written_and_never_partially(tmp_path):
+def test_mirror_updates_are_read_as_written_and_never_partially(tmp_path):
     path = tmp_path / "m"
     mirror = Mirror(path, ABOUT | {"name": "täst", "columns": describe(SMALL)})
     reader = MirrorReader(path)
@@ -104,7 +104,7 @@ def test_pieces_are_read_as_written_and_never_partially(tmp_path):
 
 
 @pytest.mark.parametrize("data", [b"", b"x", bytes(64), b"\3" + bytes(7) + b"[1]", b"\2" + bytes(7) + b"{}"])
-def test_foreign_files_and_other_versions_are_refused(tmp_path, data):
+def test_mirror_reader_refuses_foreign_files_and_other_versions(tmp_path, data):
     (tmp_path / "m").write_bytes(data + bytes(1))
     with pytest.raises(LogError, match="another version"):
         MirrorReader(tmp_path / "m")
@@ -113,7 +113,7 @@ def test_foreign_files_and_other_versions_are_refused(tmp_path, data):
         MirrorReader(tmp_path / "m")
 
 
-def test_the_file_is_private_to_its_user_and_removed_with_the_run(tmp_path):
+def test_mirror_file_is_private_to_its_user_and_removed_with_the_run(tmp_path):
     path = tmp_path / "m"
     mirror = Mirror(path, ABOUT)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -124,12 +124,12 @@ def test_the_file_is_private_to_its_user_and_removed_with_the_run(tmp_path):
     mirror.close()
     assert not path.exists()
     assert newest(reader).ended
-    assert newest(reader).events == [{"text": "last"}], "who has mapped it keeps what was shown last"
+    assert newest(reader).events == [{"text": "last"}], "a reader with the file mapped keeps the update"
     with pytest.raises(FileNotFoundError):
         MirrorReader(path)
 
 
-def test_a_new_run_keeps_its_file_if_the_previous_run_closes_late(tmp_path):
+def test_new_run_keeps_its_mirror_file_if_the_previous_run_closes_late(tmp_path):
     path = tmp_path / "m"
     first, second = Mirror(path, ABOUT), Mirror(path, {**ABOUT, "name": "second"})
     first.close()
@@ -186,7 +186,7 @@ def test_a_mirror_that_cannot_be_created_does_not_stop_the_log(tmp_path, capfd):
     assert "cannot see this run" in capfd.readouterr().err
 
 
-def test_a_killed_recorder_leaves_its_last_piece_readable(tmp_path):
+def test_last_mirror_update_of_a_killed_recorder_stays_readable(tmp_path):
     shown = tmp_path / "m"
     recording = Recording.start(tmp_path / "a.mcap", configuration="", mirror=(shown, {}))
     recording.tick(random_rows(1)[0], (), ())

@@ -108,7 +108,7 @@ TRANSITIONS = [
 
 
 @pytest.mark.parametrize(("mode", "facts", "expected"), TRANSITIONS)
-def test_drive_states_commands_and_time_change_the_mode(mode, facts, expected):
+def test_mode_changes_with_drive_states_operator_commands_and_time_as_specified(mode, facts, expected):
     assert after(mode, **facts) is expected
 
 
@@ -134,14 +134,14 @@ def test_a_stop_leads_to_rest_from_every_mode(mode):
     assert after(mode, stop=True) is STOPPED[mode]
 
 
-def test_a_mode_waits_exactly_one_extra_second_for_a_drive():
+def test_mode_that_waits_for_a_drive_waits_one_extra_second():
     even = Durations(load=0.25, release=0.5, close=0.125)
     for mode, least in ((Mode.LOADING, 0.5), (Mode.RELEASING, 0.5), (Mode.PARKING, 0.125)):
         assert not overdue(mode, least + 1.0, even)
         assert overdue(mode, math.nextafter(least + 1.0, 2.0), even)
 
 
-def test_other_modes_never_wait_for_a_drive():
+def test_modes_other_than_loading_releasing_and_parking_never_wait_for_a_drive():
     waiting = {Mode.LOADING, Mode.RELEASING, Mode.PARKING}
     assert not any(overdue(mode, 1e6, DURATIONS) for mode in Mode if mode not in waiting)
 
@@ -186,7 +186,7 @@ def test_each_fault_belongs_to_the_right_fault_groups(
 
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault])
 @pytest.mark.parametrize("mode", Mode)
-def test_a_fault_keeps_a_force_that_alone_may_carry_the_platform(mode, fault):
+def test_fault_keeps_the_leg_forces_if_only_they_may_carry_the_platform(mode, fault):
     match mode:
         case _ if fault in NOBODY or mode is Mode.FAULT:
             expected = Mode.FAULT
@@ -223,7 +223,7 @@ def test_of_several_faults_the_strongest_reaction_counts():
 def test_a_fault_with_reaction_sto_removes_the_force_in_every_mode(mode, name):
     off, fault = ReactionSettings.model_validate({name: "sto"}), Fault[name.upper()]
     assert leads(mode, fault, off) is Mode.FAULT
-    assert leads(mode, fault | Fault.STALE | Fault.BRAKE, off) is Mode.FAULT, "whatever else has struck"
+    assert leads(mode, fault | Fault.STALE | Fault.BRAKE, off) is Mode.FAULT, "sto has priority"
 
 
 def test_every_fault_has_a_reaction_unless_it_is_fixed():
@@ -236,9 +236,9 @@ def test_every_fault_has_a_reaction_unless_it_is_fixed():
         ReactionSettings.model_validate({"stale": "ss1"})
 
 
-def test_without_a_known_pose_no_force_is_restored():
+def test_brake_fault_after_parking_restores_no_force_without_a_known_pose():
     assert leads(Mode.PARKED, Fault.BRAKE, located=False) is Mode.FAULT
-    assert leads(Mode.UNLOADING, Fault.BRAKE, located=False) is Mode.HELD, "its force is known"
+    assert leads(Mode.UNLOADING, Fault.BRAKE, located=False) is Mode.HELD, "the last force needs no pose"
 
 
 DRIVES = {

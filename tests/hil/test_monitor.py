@@ -41,7 +41,7 @@ def platform():
     return build_platform(load("virtual").platform)
 
 
-def test_watch_constants_of_a_critically_damped_law(platform):
+def test_lyapunov_monitor_constants_of_a_critically_damped_law_agree_with_hand_calculation(platform):
     """alpha = wn / 4 = 5, V = 600 ((de + 5 e)^2 + 225 e^2)."""
     table, ticks = build_watch(MonitorSettings(action="fault"), PLAIN, platform, HOME, T)
     rows = {0: 400, 1: 40, 2: 150e3, 3: 3e3, 4: 600, 5: 8, 7: math.sqrt(600) * T, 8: math.exp(-0.01)}
@@ -66,7 +66,7 @@ def test_leg_noise_is_mapped_to_the_pose_by_the_jacobian(platform):
     assert table[11, 0] == 1.0
 
 
-def test_watch_of_robust_laws_uses_the_gains_of_their_layers(platform):
+def test_lyapunov_monitor_of_robust_laws_uses_the_gains_of_their_boundary_layers(platform):
     """k = 10 and phi = k / 50 = 0.2: two poles at 50 rad/s. rho / epsilon = 9 sqrt(6) / 0.5."""
     table, _ = build_watch(MonitorSettings(), SLIDING, platform, HOME, T)
     np.testing.assert_allclose(table[[0, 1, 9, 10], 3], [2500, 100, 50, 50])
@@ -80,7 +80,7 @@ def test_watch_of_robust_laws_uses_the_gains_of_their_layers(platform):
     np.testing.assert_allclose(table[11, 1:3], [1, 0.5])
 
 
-def test_a_law_has_a_certificate_or_a_reason(platform):
+def test_every_law_has_a_lyapunov_certificate_or_a_reason_why_not(platform):
     pd = PDSettings(law="pd", kp_N_m=1e6, kv_N_s_m=1e4)
     assert build_watch(MonitorSettings(), pd, platform, HOME, T) is NO_WATCH
     assert "switches" in str(certified(SLIDING.model_copy(update={"boundary_layer_m_s": 0.0})))
@@ -160,7 +160,7 @@ def exact(platform):
 
 
 @pytest.mark.parametrize("kind", ["worst", "steps", "noise"])
-def test_no_disturbance_within_the_bound_breaks_the_certificate(exact, kind):
+def test_no_disturbance_within_its_bound_breaks_the_lyapunov_certificate(exact, kind):
     """Any disturbance of the six axes within 8 m/s^2, also one that always pushes outwards."""
     random = np.random.default_rng(7)
     axes = Axes(exact)
@@ -176,10 +176,10 @@ def test_no_disturbance_within_the_bound_breaks_the_certificate(exact, kind):
         assert not alarm, k
         if k > 1:
             largest = max(largest, figures[3])
-    assert largest > (0.5 if kind == "noise" else 0.95), "the bound is a sharp one"
+    assert largest > (0.5 if kind == "noise" else 0.95), "the bound must be tight"
 
 
-def test_late_ticks_do_not_break_the_certificate(exact):
+def test_late_ticks_do_not_break_the_lyapunov_certificate(exact):
     """A disturbance that pushes outwards from rest has a fifth more time until a late tick."""
     axes = Axes(exact)
     axes.tick(0.0)
@@ -187,7 +187,7 @@ def test_late_ticks_do_not_break_the_certificate(exact):
     assert not any(axes.tick(8.0, late_ns=190_000 * (k % 3 > 0))[1] for k in range(200))
 
 
-def test_an_estimated_length_does_not_break_the_certificate(exact):
+def test_estimated_leg_length_does_not_break_the_lyapunov_certificate(exact):
     """An extrapolated or estimated length may be wrong, and jumps when the encoder reports again."""
     one_old = {"age": [1, 0, 0, 0, 0, 0], "counted_age": [1, 0, 0, 0, 0, 0]}
     for unseen in (one_old, {"legs_used": 0b111110, "legs_lost": 1, "unseen": 1}):
@@ -202,7 +202,7 @@ def test_an_estimated_length_does_not_break_the_certificate(exact):
     seen = Axes(exact)
     for _ in range(5):
         seen.tick(0.0, legs_used=0b111111)
-    assert seen.tick(0.0, off=1e-3, legs_used=0b111111)[1], "a measured one does"
+    assert seen.tick(0.0, off=1e-3, legs_used=0b111111)[1], "the same error, measured, breaks it"
 
 
 def test_disturbance_of_a_predicting_law_grows_with_its_horizon(platform):
@@ -214,7 +214,7 @@ def test_disturbance_of_a_predicting_law_grows_with_its_horizon(platform):
 
 
 @pytest.mark.parametrize("excess", [1.25, 2.0, 4.0])
-def test_a_disturbance_beyond_the_bound_breaks_the_certificate_at_once(exact, excess):
+def test_disturbance_beyond_its_bound_breaks_the_lyapunov_certificate_at_once(exact, excess):
     axes = Axes(exact)
     for _ in range(5):
         axes.tick(0.0)

@@ -84,7 +84,7 @@ def test_trajectory_time_counts_from_the_tick_of_its_start():
     motion.start(next_path(), 5)
     assert (motion.tick, motion.time(5), motion.time(7)) == (5, 0.0, 0.5)
     for a, b in zip(motion.sample(7), motion.trajectory.sample(0.5), strict=True):
-        assert a.tobytes() == b.tobytes(), "at full speed its own"
+        assert a.tobytes() == b.tobytes(), "the sample at full speed must be that of the path itself"
     motion.rest(THERE, EYE, 9)
     assert (motion.tick, motion.time(9)) == (9, 0.0)
     motion.leave(move(), 11)
@@ -115,11 +115,11 @@ def test_a_stop_at_rest_is_finished_exactly_at_its_own_tick(stops):
 # -- a new one forgets the one before
 
 
-def test_a_new_trajectory_drops_the_successor_of_the_previous_one():
+def test_new_trajectory_discards_the_successor_of_the_previous_trajectory():
     path = next_path()
     motion = along(move(), then=path)
     assert before(motion, 1, path) == -0.75
-    assert before(motion, 1, next_path()) is None, "another one"
+    assert before(motion, 1, next_path()) is None, "another path is not the next one"
     motion.start(move(), 2)
     assert before(motion, 3, path) is None
     assert ahead(motion, 5, 1.0)[1] is None
@@ -134,7 +134,7 @@ def test_a_new_trajectory_drops_the_successor_of_the_previous_one():
     ],
     ids=["start", "rest", "stop"],
 )
-def test_a_new_trajectory_drops_the_path_that_was_left(change):
+def test_new_trajectory_discards_the_path_that_was_interrupted_by_a_move(change):
     motion = along(next_path())
     motion.leave(move(), 3)
     assert motion.away
@@ -143,7 +143,7 @@ def test_a_new_trajectory_drops_the_path_that_was_left(change):
     assert motion.left is None
 
 
-def test_a_path_left_twice_is_resumed_where_it_was_left_first():
+def test_path_interrupted_twice_is_resumed_where_it_was_first_interrupted():
     path = next_path()
     motion = along(path, 1)
     motion.leave(move(), 3)
@@ -163,7 +163,7 @@ def test_a_path_left_twice_is_resumed_where_it_was_left_first():
 
 
 @pytest.mark.parametrize("duration", [0.5, 0.4996, 0.50000000001])
-def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
+def test_predicted_reference_continues_across_the_end_of_the_approach(duration):
     motion = along(move(duration), 100, next_path(), T)
     begins = next(tick for tick in range(100, 1000) if motion.finished(tick))
     seen = {tick: ahead(motion, tick, AHEAD) for tick in range(begins - 4, begins)}
@@ -204,7 +204,7 @@ def test_a_hold_on_the_approach_delays_the_next_path():
     assert seen[begins - 1][1] == pytest.approx(AHEAD - T)
 
 
-def test_time_to_the_next_path_is_zero_at_its_start_and_unknown_if_slow():
+def test_time_to_the_next_path_is_zero_from_its_start_and_unknown_at_reduced_speed():
     path = next_path()
     motion = along(move(), then=path)
     assert [before(motion, tick, path) for tick in (0, 3, 4, 5, 9)] == [-1.0, -0.25, 0.0, 0.0, 0.0]

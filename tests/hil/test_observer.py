@@ -76,18 +76,18 @@ def pushed():
 
 def test_estimate_of_a_constant_wrench_rises_like_a_first_order_lag(pushed):
     found = follow(observer(), *pushed)
-    assert not found[0].any(), "it begins at the momentum it finds"
+    assert not found[0].any(), "the first estimate must be zero"
     for k in (1, 5, 20, 60):
         np.testing.assert_allclose(found[k], WRENCH * (1 - exp(-2 * pi * BANDWIDTH * k * T)), atol=0.05)
 
 
-def test_motion_without_a_wrench_gives_no_estimate():
+def test_motion_without_an_external_wrench_gives_a_zero_wrench_estimate():
     states, forces = moved(Model(PLATFORM), np.zeros(6))
-    assert np.abs(states[-1]["twist"]).max() > 0.005, "it moves"
+    assert np.abs(states[-1]["twist"]).max() > 0.005, "the platform must move"
     assert np.abs(follow(observer(), states, forces)).max() < 0.05
 
 
-def test_only_friction_outside_the_model_counts_as_external():
+def test_only_friction_outside_the_model_counts_as_external_wrench():
     states, forces = moved(Model(PLATFORM, viscous=5000.0), np.zeros(6))
     assert np.abs(follow(observer(Model(PLATFORM, viscous=5000.0)), states, forces)).max() < 0.1
     assert np.abs(follow(observer(), states, forces)).max() > 10.0
@@ -108,7 +108,7 @@ def test_the_observer_bridges_a_skipped_tick():
     np.testing.assert_allclose(observe(other, 15, still), observe(one, 15, still), rtol=1e-9)
 
 
-def test_estimate_is_kept_on_closed_brakes_and_reset_without_force(pushed):
+def test_wrench_estimate_is_kept_on_closed_brakes_and_reset_without_force(pushed):
     states, forces = pushed
     each = observer()
     seen = follow(each, states, forces)[-1]
@@ -125,7 +125,7 @@ def test_estimate_is_kept_on_closed_brakes_and_reset_without_force(pushed):
     assert follow(each, *pushed)[-1].tobytes() == seen.tobytes()
 
 
-def test_ticks_without_a_measured_pose_leave_the_estimate_unchanged(pushed):
+def test_ticks_without_a_measured_pose_leave_the_wrench_estimate_unchanged(pushed):
     """The estimate continues at the first measured tick."""
     states, forces = pushed
     each, kept = observer(), np.zeros(6)

@@ -83,7 +83,7 @@ ORDERS = [(each.name.lower(), each) for each in (Operator.START, Operator.HOLD, 
         ("status", ParsedLine()),
     ],
 )
-def test_a_valid_line_is_parsed_into_its_command(line, said):
+def test_valid_operator_line_is_parsed_into_its_command(line, said):
     assert parse(line) == said
 
 
@@ -108,7 +108,7 @@ def test_a_valid_line_is_parsed_into_its_command(line, said):
         ("setpoint 1 2 3 4 5 inf", "not finite"),
     ],
 )
-def test_an_invalid_line_is_refused_and_names_the_allowed_values(line, complaint):
+def test_invalid_operator_line_is_refused_with_the_allowed_values(line, complaint):
     with pytest.raises(ValueError, match=complaint):
         parse(line)
 

@@ -68,7 +68,7 @@ def test_a_speed_set_on_hold_applies_from_the_start():
 
 
 @pytest.mark.parametrize(("rate_Hz", "deadman_s", "ticks"), [(1000.0, 0.1, 100), (250.0, 0.05, 12)])
-def test_the_stop_begins_deadman_s_after_the_last_key_frame(rate_Hz, deadman_s, ticks):
+def test_stop_begins_deadman_s_after_the_last_frame_of_the_deadman_key(rate_Hz, deadman_s, ticks):
     operating, motion = made(rate_Hz, deadman_s=deadman_s)
     sigma = run((operating, motion), 400, {tick: [KEY] for tick in range(0, 101, 10)})
     slower = int(np.flatnonzero(sigma < 1.0)[0])
@@ -80,14 +80,14 @@ def test_the_stop_begins_deadman_s_after_the_last_key_frame(rate_Hz, deadman_s, 
     ("deadman_s", "ticks"),
     [(0.0004, 1), (0.0019, 1), (0.002, 2), (0.1, 100), (0.0289999999995, 29), (0.0289999999985, 28)],
 )
-def test_a_key_is_valid_for_whole_ticks_and_for_at_least_one(deadman_s, ticks):
+def test_deadman_key_is_valid_for_whole_ticks_and_for_at_least_one(deadman_s, ticks):
     operating, motion = made(deadman_s=deadman_s)
     assert not operating.holds_key(0)
     operating.step([KEY], 7, Mode.TRACKING, motion)
     assert [operating.holds_key(7 + n) for n in (0, ticks - 1, ticks)] == [True, True, False]
 
 
-def test_a_key_that_returns_moves_nothing_without_a_new_start():
+def test_deadman_key_pressed_again_moves_nothing_without_a_new_start():
     operating, motion = made(deadman_s=0.05)
     orders = {tick: [KEY] for tick in [0, *range(700, 2000, 20)]}
     assert (run((operating, motion), 2000, orders)[600:] == 0.0).all()
@@ -97,7 +97,7 @@ def test_a_key_that_returns_moves_nothing_without_a_new_start():
 
 
 @pytest.mark.parametrize("order", [START, PARK])
-def test_start_and_park_without_the_key_are_refused(order):
+def test_start_and_park_without_the_deadman_key_are_refused(order):
     operating, motion = made(deadman_s=0.05)
     run((operating, motion), 700, {0: [KEY]})
     operating.step([order], 700, Mode.TRACKING, motion)
@@ -109,7 +109,7 @@ def test_start_and_park_without_the_key_are_refused(order):
 
 
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
-def test_releasing_the_key_holds_a_platform_that_is_to_park(mode):
+def test_releasing_the_deadman_key_holds_a_platform_on_its_way_to_park(mode):
     operating, motion = made(deadman_s=0.05)
     operating.step([KEY, PARK], 10, Mode.TRACKING, motion)
     held = []
@@ -154,7 +154,7 @@ def test_park_waits_for_rest_and_is_cancelled_by_hold_or_start(order):
 
 
 @pytest.mark.parametrize(("order", "go"), [(START, True), (HOLD, False)])
-def test_hold_and_start_on_the_way_to_the_first_pose_keep_the_park(order, go):
+def test_hold_and_start_on_the_way_to_the_first_pose_do_not_cancel_parking(order, go):
     operating, motion = made()
     operating.go, operating.parks = not go, True
     operating.step([order], 9, Mode.STOPPING, motion)
@@ -165,7 +165,7 @@ def test_hold_and_start_on_the_way_to_the_first_pose_keep_the_park(order, go):
 @pytest.mark.parametrize("parks", [False, True])
 @pytest.mark.parametrize("go", [False, True])
 @pytest.mark.parametrize("mode", Mode)
-def test_mode_and_park_decide_on_operator_motion_and_open_brakes(mode, go, parks):
+def test_mode_start_and_park_determine_operator_motion_and_whether_brakes_stay_open(mode, go, parks):
     operating = made()[0]
     operating.go, operating.parks = go, parks
     back = mode is Mode.STOPPING and parks

@@ -34,7 +34,7 @@ def test_roll_pitch_and_yaw_give_the_rotation_of_scipy(turn):
     ("section", "more"),
     [(Pose, {"position_m": (0, 0, 1)}), (Waypoint, {"position_m": (0, 0, 1), "t_s": 1}), (Frame, {}), (InertiaReference, {})],
 )  # fmt: skip
-def test_rotation_is_given_in_one_way(section, more):
+def test_rotation_is_configured_either_as_vector_or_as_roll_pitch_yaw_but_not_both(section, more):
     of_vector = section(**more, rotation_vector_deg=(0, 0, 20))
     of_angles = section(**more, roll_pitch_yaw_deg=(0, 0, 20))
     np.testing.assert_allclose(of_angles.rotation_vector_deg, (0, 0, 20), rtol=1e-15)
@@ -46,7 +46,7 @@ def test_rotation_is_given_in_one_way(section, more):
         section(**more, roll_pitch_yaw_deg=(0, 0, float("inf")))
 
 
-def test_home_of_a_file_takes_roll_pitch_and_yaw():
+def test_home_pose_in_a_configuration_may_be_given_by_roll_pitch_and_yaw():
     home = "    rotation_vector_deg: [0, 0, 0]\n  # The book"
     c = loads(
         edited((home, home.replace("rotation_vector_deg: [0, 0, 0]", "roll_pitch_yaw_deg: [2, 3, -4]"))),

@@ -21,7 +21,7 @@ def course(targets, ticks):
     return np.array(found)
 
 
-def test_a_hold_has_a_trapezoidal_rate_and_the_time_of_a_stop():
+def test_path_speed_falls_on_hold_with_a_trapezoidal_rate_within_the_stop_time():
     """The rate falls in T/3, stays for T/3 and rises in T/3: sigma(T/3) = 1 - 4.5 (T/3)^2/(2 T^2) = 3/4."""
     s, sigma, dsigma = course({100: 0.0}, 700).T
     rests = int(np.flatnonzero(sigma == 0.0)[0])
@@ -33,7 +33,7 @@ def test_a_hold_has_a_trapezoidal_rate_and_the_time_of_a_stop():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_any_targets_keep_the_bounds_and_integrate_exactly(seed):
+def test_path_speed_keeps_its_bounds_for_any_targets_and_integrates_exactly(seed):
     rng = np.random.default_rng(seed)
     targets = {int(t): float(rng.choice([0.0, 1.0, rng.random()])) for t in rng.integers(0, 3000, 25)}
     s, sigma, dsigma = course(targets, 4000).T
@@ -48,7 +48,7 @@ def test_any_targets_keep_the_bounds_and_integrate_exactly(seed):
     assert sigma[-1] == targets[max(targets)]
 
 
-def test_skipped_ticks_give_the_same_path_time_as_all_ticks():
+def test_path_time_after_skipped_ticks_equals_path_time_without_skips():
     override = Override(T, CHANGE)
     override.aim(10, 0.3)
     override.advance(777)
@@ -104,7 +104,7 @@ def times(override, *ticks):
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.5, 1.0])
-def test_a_speed_set_at_once_continues_from_the_present_path_time(sigma):
+def test_path_speed_set_without_ramp_continues_from_the_present_path_time(sigma):
     override = Override(LONG, SLOWLY)
     assert times(override, 0, 4) == [0.0, 1.0]
     override.begin(2)
@@ -118,7 +118,7 @@ def test_a_speed_set_at_once_continues_from_the_present_path_time(sigma):
 
 @pytest.mark.parametrize("target", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("ticks", [0, 1, 6])
-def test_predicted_rest_is_reached_by_braking_after_one_more_tick(target, ticks):
+def test_predicted_rest_of_the_path_time_is_reached_by_braking_after_one_more_tick(target, ticks):
     override = Override(LONG, SLOWLY)
     override.settle(0, 0.5)
     override.aim(0, 1.0)
@@ -142,7 +142,7 @@ def test_predicted_rest_is_reached_by_braking_after_one_more_tick(target, ticks)
         (1.0, 0.0, 2.0, 1.0, 2.0),
     ],
 )
-def test_the_look_ahead_extrapolates_the_rate_up_to_its_limits(sigma, dsigma, h, ends, advance):
+def test_predicted_path_time_extrapolates_the_speed_rate_up_to_its_limits(sigma, dsigma, h, ends, advance):
     override = Override(LONG, SLOWLY)
     override.place(4, 3.0)
     override.sigma, override.dsigma = sigma, dsigma

@@ -36,7 +36,7 @@ def test_the_first_signal_stops_a_run_and_the_second_is_an_estop(asked):
         os.kill(os.getpid(), asked)
         assert panel.take() == (Operator.ESTOP, Operator.ESTOP)
         os.kill(os.getpid(), asked)
-        assert panel.take(held=True) == (Operator.STOP,), "only the force holds the platform"
+        assert panel.take(held=True) == (Operator.STOP,), "a held platform gets no emergency stop"
     assert signal.getsignal(asked) is _earlier
 
 

@@ -37,7 +37,7 @@ def exact_mean(transport, lag, k):
 
 @pytest.mark.parametrize("lag", [0.0, 0.8e-3, 3e-3])
 @pytest.mark.parametrize("transport", [0.0, 0.5e-3, 1e-3, 1.7e-3, 2.25e-3])
-def test_mean_force_between_two_measurements_is_exact(transport, lag):
+def test_mean_delayed_force_between_two_measurements_is_exact(transport, lag):
     path = ForcePath(T, transport, lag)
     path.advance()
     for k, command in enumerate(COMMANDS):
@@ -46,7 +46,7 @@ def test_mean_force_between_two_measurements_is_exact(transport, lag):
         np.testing.assert_allclose(mean, exact_mean(transport, lag, k), atol=20.0 if lag else 1e-8)
 
 
-def test_lag_is_exact_over_a_hold():
+def test_mean_force_of_a_delayed_step_through_the_drive_lag_is_exact():
     """Step of 100 N after 0.4 ms through a lag of 0.5 ms: mean over the first ms by quadrature."""
     path = ForcePath(T, 0.4e-3, 0.5e-3)
     path.send(np.full(6, 100.0))
@@ -55,7 +55,7 @@ def test_lag_is_exact_over_a_hold():
     np.testing.assert_allclose(path.force, 100.0 * (1.0 - exp(-0.6 / 0.5)), rtol=1e-12)
 
 
-def test_skipped_periods_hold_the_last_command():
+def test_skipped_periods_of_the_predictor_hold_the_last_force_command():
     skipping, sending = ForcePath(T, 0.4e-3, 0.5e-3), ForcePath(T, 0.4e-3, 0.5e-3)
     means = []
     for path in (skipping, sending):
@@ -69,19 +69,19 @@ def test_skipped_periods_hold_the_last_command():
     np.testing.assert_allclose(skipping.force, sending.force, rtol=1e-12)
 
 
-def test_the_horizon_is_split_at_the_arrival_of_commands():
+def test_prediction_horizon_is_split_at_the_arrival_times_of_force_commands():
     path = ForcePath(T, 1.6e-3, 0.0)
     cut = path.segments(2.1e-3)
-    assert [s.sent for s in cut] == [1, 0], "the command to come is taken to be as the last one"
+    assert [s.sent for s in cut] == [1, 0], "the next command is assumed to equal the last one"
     assert [s.duration_s for s in cut] == pytest.approx([0.6e-3, 1.5e-3])
     assert sum(s.duration_s for s in path.segments(0.2e-3)) == pytest.approx(0.2e-3)
     assert path.segments(0.0) == ()
 
 
-def test_decay_agrees_with_the_exponential():
+def test_compiled_decay_function_agrees_with_the_exponential():
     for x in (0.0, 1e-9, 0.05, 0.3, 1.0, 7.0, 40.0):
         assert decay(x) == pytest.approx(exp(-x), rel=1e-13)
-    assert decay(1e30) == 0.0, "of a lag that vanishes"
+    assert decay(1e30) == 0.0, "the decay over a vanishing lag must be zero"
 
 
 BOOK = json.loads((Path(__file__).parents[1] / "data" / "book_platform.json").read_text())
@@ -137,7 +137,7 @@ def test_prediction_agrees_with_integration_of_forces_in_transit(case):
     found = moved(predictor_at(state, force, CHANGE), 30, state)
     arrived = force + CHANGE * (1.0 - exp(-(T - BUS) / LAG))
     p, R, twist = integrated(state, arrived, force + CHANGE)
-    assert np.abs(found["p"] - state["p"]).max() > 5e-4, "there is something to predict"
+    assert np.abs(found["p"] - state["p"]).max() > 5e-4, "the prediction must differ from the measurement"
     np.testing.assert_allclose(found["p"], p, rtol=0, atol=1e-6)
     assert Rotation.from_matrix(found["R"] @ R.T).magnitude() < 1e-6
     np.testing.assert_allclose(found["twist"], twist, rtol=0, atol=1e-4)
@@ -148,7 +148,7 @@ def test_prediction_agrees_with_integration_of_forces_in_transit(case):
 
 
 @pytest.mark.parametrize("skipped", [1, 5])
-def test_commands_in_transit_age_over_skipped_periods(skipped):
+def test_force_commands_in_transit_become_older_over_skipped_periods(skipped):
     """The drives keep the last command, whose full effect arrives later than one period."""
     state, force = state_of(MOVING[0]), np.array(MOVING[0]["force"])
     bridged, told = (predictor_at(state, force, CHANGE) for _ in range(2))

@@ -16,7 +16,7 @@ STABLE = [
 ]  # fmt: skip
 
 
-def test_the_public_names_are_this_list():
+def test_public_names_of_the_package_equal_a_fixed_list():
     assert hil.__all__ == STABLE
     assert set(STABLE) <= set(dir(hil))
 
@@ -28,7 +28,7 @@ def test_each_public_object_is_documented_and_has_its_own_name(name):
     assert thing.__doc__
 
 
-def test_an_unknown_name_is_refused():
+def test_unknown_name_of_the_package_is_refused():
     with pytest.raises(AttributeError, match="no attribute 'Lag'"):
         _ = hil.Lag
 
@@ -40,7 +40,7 @@ def test_each_package_is_marked_as_typed():
             assert file.read() == ""
 
 
-def test_reading_a_log_needs_no_compilation(tmp_path):
+def test_reading_a_log_imports_neither_numba_nor_scipy(tmp_path):
     with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
         record(recording, random_ticks(300))
     script = """

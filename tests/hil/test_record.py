@@ -133,7 +133,7 @@ def test_lockstep_recordings_are_byte_equal_up_to_the_summary(tmp_path, capfd):
     assert recording._process.returncode == 0
 
 
-def test_lockstep_does_not_stall_if_frames_fill_the_ring_first(path):
+def test_lockstep_recording_does_not_stall_if_frames_fill_the_ring_before_rows(path):
     burst = tuple(Received(k, Frame(k, bytes([k % 256]))) for k in range(700))
     with Recording.start(path, configuration="", lockstep=True, ring_ticks=256) as recording:
         for row in random_rows(60):

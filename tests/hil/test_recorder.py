@@ -132,7 +132,7 @@ def test_only_a_full_disk_closes_the_log_with_the_ticks_that_fit(tmp_path, monke
 # -- batches and chunks ----------------------------------------------------------------------------------------
 
 
-def test_a_batch_is_written_before_its_room_is_released(tmp_path):
+def test_recorder_writes_a_batch_before_it_releases_the_room_in_the_ring(tmp_path):
     bench = Bench(tmp_path)
     recorder: Any = bench.recorder
     did: list[tuple[str, int]] = []
@@ -199,7 +199,7 @@ LARGE = CHUNK_SIZE // 8
     ],
     ids=["few", "one", "a little more than one", "row and frames", "many", "equal", "unlike"],
 )
-def test_chunks_end_between_ticks_and_are_as_few_as_possible(lengths):
+def test_log_chunks_end_between_ticks_and_are_as_few_as_possible(lengths):
     found = chunks_of(lengths)
     sizes = [sum(sum(lengths[tick]) for tick in {tick for tick, _ in chunk}) for chunk in found]
     assert sum(sizes) == sum(map(sum, lengths)), "no tick is in two chunks"
@@ -245,7 +245,7 @@ def test_real_time_writes_a_chunk_every_0_1_s_and_flushes_every_second(monkeypat
 
     recorder._ring, recorder._drain = SimpleNamespace(ready=ready, capacity=256), drain
     recorder.run(SimpleNamespace(ended=ended))
-    assert left == [], "at the end the ring is drained to the last"
+    assert left == [], "the ring must be empty at the end"
     if lockstep:
         np.testing.assert_allclose(did["drain"][:2], [7.13, 9.5], atol=0.005)
         assert (len(did["drain"]), did["sync"]) == (2 + 3, [])
@@ -285,10 +285,10 @@ def test_a_killed_producer_is_noticed_although_a_child_holds_the_pipe(held, prod
     assert not control.ended(0.0)
     producer.kill()
     assert control.ended(LONG_S)
-    assert control.ended(0.0), "and stays so"
+    assert control.ended(0.0), "an ended producer must stay ended"
     assert control.summary is None
     monkeypatch.setattr(os, "getppid", lambda: 1)
-    assert _Control(held[0], producer.pid).ended(0.0), "also where it had died before it was watched"
+    assert _Control(held[0], producer.pid).ended(0.0), "a producer that died before the start has ended"
 
 
 WHOLE = pickle.dumps({"ending": "PARKED"})
@@ -317,7 +317,7 @@ READY = pickle.dumps({"ready": True})
     [(READY, False, {"ready": True}), (READY[:-4], True, {}), (b"", True, {}), (b"", False, None)],
     ids=["one", "half of one", "nothing and dead", "nothing"],
 )
-def test_the_first_complete_answer_within_the_timeout_counts(answered, ends, found):
+def test_first_complete_answer_of_the_recorder_within_the_timeout_counts(answered, ends, found):
     reads, writes = os.pipe()
     with os.fdopen(reads, "rb") as pipe, os.fdopen(writes, "wb", buffering=0) as out:
         out.write(answered)

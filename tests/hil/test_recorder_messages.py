@@ -138,7 +138,7 @@ def test_commands_and_events_keep_their_place_among_the_frames():
 def test_an_event_between_two_batches_belongs_to_the_next_tick(rows):
     by, event = encoder(), (0, 18, 0, EVENT, b"between", 1, 0)
     first, _ = encoded(by, batch(0, event))
-    assert [m.sequence for m in first] == [0], "no tick was yet"
+    assert [m.sequence for m in first] == [0], "an event before the first tick has sequence 0"
     encoded(by, batch(rows))
     for _ in range(2):
         found, _ = encoded(by, batch(0, event))
@@ -154,7 +154,7 @@ def test_an_event_of_any_length_keeps_its_whole_text(length):
     assert message.content.message == text.decode()
 
 
-def test_the_text_of_an_event_has_only_its_own_pieces():
+def test_text_of_an_event_split_over_items_has_only_its_own_items():
     pieces = [(EVENT, 0, b"before"), (EVENT, 2, b"a"), (EVENT, 1, b"b"), (EVENT, 0, b"c"), (OPERATOR, 1, b"x"),
               (EVENT, 1, b"d"), (EVENT, 0, b"e")]  # fmt: skip
     items = batch(0, *((0, 0, number, kind, data, 0, 0) for kind, number, data in pieces)).items
@@ -164,7 +164,7 @@ def test_the_text_of_an_event_has_only_its_own_pieces():
 
 
 @pytest.mark.parametrize(("scene", "every"), [(None, 33), (3, 3)])
-def test_views_are_the_last_messages_of_their_tick(scene, every):
+def test_transform_and_scene_messages_are_the_last_messages_of_their_tick(scene, every):
     corners = [[1.0, k, 0.0] for k in range(6)]
     by = encoder(scene=Scene(corners, corners, every=scene) if scene else None)
     at = [every - 1, every, every + 1, 2 * every, 2 * every + 1]

@@ -162,7 +162,7 @@ class At:
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_the_set_up_has_clock_buses_and_metadata_of_the_run(monkeypatch, tmp_path, lockstep):
+def test_recorder_setup_has_clock_buses_and_metadata_of_the_run(monkeypatch, tmp_path, lockstep):
     """t_ns = 0 is the zero of the clock in real time, and the year 2000 in lockstep."""
     found: list[Any] = []
     monkeypatch.setattr(module, "_start", lambda ring, setup: found.append(setup))
@@ -220,7 +220,7 @@ def ended(monkeypatch, tmp_path):
     return make
 
 
-def test_the_end_is_requested_once_and_the_result_describes_the_log(ended, tmp_path):
+def test_end_of_the_recording_is_requested_once_and_its_result_describes_the_log(ended, tmp_path):
     recording, did = ended(CLEAN)
     summary = recording.close({"ending": "PARKED", "late": {"p99": 1.5}}, timeout_s=7.0)
     assert summary == (tmp_path / "a.mcap", 3, 11, 0, 0, 4096, 0.25, True, "", False)
@@ -234,7 +234,7 @@ def test_the_end_is_requested_once_and_the_result_describes_the_log(ended, tmp_p
 @pytest.mark.parametrize(("dropped", "ticks", "complete"), [(0, 3, True), (1, 3, False), (0, 2, False)])
 def test_a_log_is_complete_when_it_holds_every_tick(ended, dropped, ticks, complete):
     recording, did = ended({**CLEAN, "ticks": ticks}, ended=False)
-    assert (recording.alive, recording.trouble, did) == (True, "", []), "a recorder that lives is no trouble"
+    assert (recording.alive, recording.trouble, did) == (True, "", []), "a living recorder is not reported"
     recording.dropped = dropped
     summary = recording.close()
     assert (summary.dropped, summary.lost, summary.complete) == (dropped, 3 - ticks, complete)

@@ -79,7 +79,7 @@ def approach_to(start: PoseSample, here: PoseSample, blend_s: float = BLEND_S) -
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("back", [False, True])
-def test_the_leg_with_the_longest_travel_has_the_approach_speed(way: str, back: bool) -> None:
+def test_leg_with_the_longest_travel_moves_at_the_approach_speed(way: str, back: bool) -> None:
     ends = at(HOME), at(*WAYS[way])
     here, there = ends[::-1] if back else ends
     change = leg_lengths(PLATFORM, there.p, there.R) - leg_lengths(PLATFORM, here.p, here.R)
@@ -93,7 +93,7 @@ def test_the_leg_with_the_longest_travel_has_the_approach_speed(way: str, back: 
 
 
 @pytest.mark.parametrize(("blend_s", "takes_s"), [(BLEND_S, BLEND_S), (0.0, PERIOD_S)])
-def test_a_short_approach_takes_the_blend_time_or_one_period(blend_s: float, takes_s: float) -> None:
+def test_approach_of_zero_length_takes_blend_s_or_at_least_one_period(blend_s: float, takes_s: float) -> None:
     assert approach_to(at(HOME), at(HOME), blend_s).duration_s == takes_s
 
 

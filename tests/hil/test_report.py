@@ -21,7 +21,7 @@ def reported(leg, state, others, **columns):
 
 
 @ON_EACH_LEG
-def test_one_powered_drive_counts_as_powered(leg):
+def test_drives_count_as_powered_if_at_least_one_is_powered(leg):
     for state in (DriveState.READY, DriveState.RUN):
         assert any_powered(reported(leg, state, DriveState.OFF))
     assert not any_powered(reported(leg, DriveState.FAULT, DriveState.OFF))
@@ -35,7 +35,7 @@ def test_another_drive_fault_does_not_confirm_the_emergency_stop(leg):
         stopped["drive_fault"] = one(leg, other, DriveFault.ESTOP)
         assert unconfirmed(stopped, latches=True) == (leg,)
     stopped["drive_fault"] = one(leg, len(DriveFault), DriveFault.ESTOP)
-    assert confirmed(stopped, latches=True), "a code of its maker"
+    assert confirmed(stopped, latches=True), "the fault code of a maker does not prevent confirmation"
     off = reported(leg, DriveState.OFF, DriveState.FAULT, drive_fault=DriveFault.ESTOP)
     assert unconfirmed(off, latches=True) == (leg,)
     assert confirmed(off, latches=False)
@@ -43,7 +43,7 @@ def test_another_drive_fault_does_not_confirm_the_emergency_stop(leg):
 
 
 @ON_EACH_LEG
-def test_a_moving_silent_or_doubted_leg_is_not_at_rest(leg):
+def test_legs_are_not_at_rest_if_one_moves_is_silent_or_has_a_slipped_encoder(leg):
     assert measured_at_rest(record_of(age=0, rate=0.0))
     for way in (1.0, -1.0):
         assert measured_at_rest(record_of(age=0, rate=one(leg, way * 0.9 * REST_m_s, 0.0)))
@@ -59,6 +59,6 @@ def test_drives_are_ready_when_all_six_report_and_are_set_up(leg):
     assert not ready(record_of(age=one(leg, 1, 0)), waiting, every, located=False)
     assert not ready(record_of(age=one(leg, 2, 0)), waiting, every, located=True)
     assert not ready(record_of(age=0), waiting, but_one, located=True)
-    assert ready(record_of(age=one(leg, 9, 0)), Mode.IDLE, every, located=True), "not heard: it may come"
+    assert ready(record_of(age=one(leg, 9, 0)), Mode.IDLE, every, located=True), "silent drives do not block"
     assert not ready(record_of(age=0), Mode.IDLE, but_one, located=True)
-    assert ready(record_of(age=0, altered=1 << leg), Mode.IDLE, but_one, located=True), "that is a fault"
+    assert ready(record_of(age=0, altered=1 << leg), Mode.IDLE, but_one, located=True), "has its own fault"

@@ -59,7 +59,7 @@ def writer(ring):
     return Writer(ring)
 
 
-def test_rows_and_items_come_out_once_and_in_order_after_wrap_rounds(ring, writer):
+def test_ring_returns_rows_and_items_once_and_in_order_after_wrap_rounds(ring, writer):
     rng = random.Random(3)
     counts, ticks, owners = [], [], []
     while writer.rows < 3000:
@@ -77,7 +77,7 @@ def test_rows_and_items_come_out_once_and_in_order_after_wrap_rounds(ring, write
     assert owners == [tick for tick in ticks for _ in range(counts[tick])]
 
 
-def test_an_unpublished_tick_is_invisible(ring, writer):
+def test_ring_does_not_return_an_unpublished_tick(ring, writer):
     writer.row(2)
     writer.row(3, publish=False)
     batch = ring.take(100)
@@ -86,7 +86,7 @@ def test_an_unpublished_tick_is_invisible(ring, writer):
 
 @pytest.mark.parametrize("rows", [0, 1, 3])
 @pytest.mark.parametrize("events", [1, 2, 5])
-def test_events_come_out_after_the_tick_before_them(ring, writer, rows, events):
+def test_ring_returns_events_after_the_tick_that_precedes_them(ring, writer, rows, events):
     for _ in range(rows):
         writer.row(2)
     writer.events(*range(70, 70 + events))
@@ -103,7 +103,7 @@ def test_events_come_out_after_the_tick_before_them(ring, writer, rows, events):
     assert batch.tick.tolist() == [0, 0]
 
 
-def test_a_batch_leaves_events_behind_together_with_their_rows(ring, writer):
+def test_batch_limited_to_some_rows_leaves_the_events_of_later_rows_in_the_ring(ring, writer):
     for _ in range(3):
         writer.row(1)
     writer.events(77)
@@ -115,7 +115,7 @@ def test_a_batch_leaves_events_behind_together_with_their_rows(ring, writer):
     assert batch.tick.tolist() == [0, 1]
 
 
-def test_a_batch_ends_when_items_fill_a_quarter_of_the_room(ring, writer):
+def test_batch_of_the_ring_ends_when_items_fill_a_quarter_of_the_room(ring, writer):
     for items in (1100, 1, 1022, 1, 1):
         writer.row(items)
     sizes = []
@@ -149,7 +149,7 @@ def test_a_batch_is_ready_with_its_rows_or_a_quarter_of_the_items(ring, writer, 
     assert ring.ready(1), "as many events"
 
 
-def test_a_full_ring_comes_out_whole(ring, writer):
+def test_full_ring_returns_all_rows_and_items(ring, writer):
     for _ in range(100):
         writer.row(1)
     ring.release(ring.take(100))
@@ -187,7 +187,7 @@ class Watched:
         self.counters[number] = value
 
 
-def test_each_end_orders_its_counters_and_data_by_fences(monkeypatch):
+def test_producer_and_consumer_of_the_ring_order_counters_and_data_by_memory_fences(monkeypatch):
     """The producer stores a counter after its data; the consumer reads data after their counter."""
     noted: list[str] = []
     ring, nobody = Ring.create(ROW, 256), cast("Any", None)

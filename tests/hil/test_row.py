@@ -51,7 +51,7 @@ def test_a_row_without_a_tick_or_t_ns_column_is_refused(name, other, instead):
     assert columns_of(describe((other, column(name)))) == (other, column(name))
 
 
-def test_a_described_table_is_read_back_and_our_row_type_is_one_object():
+def test_column_table_is_restored_from_its_description_with_the_same_row_type_object():
     """NumPy copies a row at once only if both types are one object: 12 us per tick instead of 120."""
     columns = columns_of(describe(RECORDED))
     assert [c._replace(part="output", type=int) for c in RECORDED] == [c._replace(type=int) for c in columns]

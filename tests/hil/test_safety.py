@@ -19,7 +19,7 @@ from tests.hil.safety_bench import (
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_is_silent_in_a_healthy_tick(mode):
+def test_guard_reports_no_fault_and_no_warning_in_a_healthy_tick(mode):
     verdict = Bench().tick(mode, 20.0)
     assert verdict.warnings == Warn.NONE
     assert verdict.faults == Fault.NONE
@@ -61,7 +61,7 @@ ALWAYS_FAULTS = {
 
 
 @pytest.mark.parametrize("reason", ALWAYS_FAULTS)
-def test_guard_faults_for_one_reason_only_while_powered(reason):
+def test_guard_reports_each_fault_only_while_the_drives_are_powered(reason):
     fault, changes = ALWAYS_FAULTS[reason]
     for mode in POWERED:
         assert Bench().tick(mode, **changes).faults == fault
@@ -95,7 +95,7 @@ def test_guard_allows_a_sync_skew_of_a_tenth_period_or_as_configured():
         assert Bench(limits, rate_Hz=1000.0).safety.limits["sync_skew_ns"] == limit_ns
 
 
-def test_guard_reports_one_fault_per_reason():
+def test_guard_reports_a_separate_fault_for_each_cause_in_a_tick():
     changes = {"hop": 2.0, "condition": 60.0, "bus_off": True, "tau": np.nan}
     verdict = Bench().tick(Mode.TRACKING, **changes)
     assert verdict.faults == Fault.ASSEMBLY | Fault.CONDITION | Fault.BUS | Fault.LAW
@@ -145,9 +145,9 @@ def test_guard_checks_standstill_after_a_fault_and_0_2_s_at_rest():
     bench = Bench()
     for _ in range(8):  # 0.2 s
         assert bench.tick(Mode.FAULT, length=5.0).faults == Fault.NONE
-    assert bench.tick(Mode.FAULT, length=6.0).faults == Fault.NONE, "from here they stand"
+    assert bench.tick(Mode.FAULT, length=6.0).faults == Fault.NONE, "the new rest position of the legs"
     assert bench.tick(Mode.FAULT, length=6.2).faults == Fault.BRAKE
-    assert bench.tick(Mode.FAULT, length=6.2, rate=leg(0.021)).faults == Fault.NONE, "it moves: no longer"
+    assert bench.tick(Mode.FAULT, length=6.2, rate=leg(0.021)).faults == Fault.NONE, "leg 3 moves again"
     for k in range(9):
         assert bench.tick(Mode.FAULT, length=5.0 + k).faults == Fault.NONE
     assert bench.tick(Mode.FAULT, length=6.0).faults == Fault.BRAKE
@@ -211,7 +211,7 @@ def test_guard_faults_for_another_controller_in_every_mode(mode):
 
 
 @pytest.mark.parametrize("mode", POWERED)
-def test_guard_accepts_no_estimated_leg_during_brake_tests(mode):
+def test_guard_faults_for_a_stale_leg_during_brake_tests_although_the_filter_estimates_it(mode):
     """The filter replaces a leg that may be lost; on closed brakes it assumes that all legs stand still."""
     tested = mode in {Mode.LOADING, Mode.UNLOADING}
     for age, of_the_leg in ((4, Fault.NONE), (5, Fault.STALE)):
@@ -242,12 +242,12 @@ def test_guard_faults_for_refused_drive_frames_in_8_of_32_ticks(mode):
     for before, rejected, sensors in ((Mode.IDLE, 1, 0), (mode, 3, 3)):
         for _ in range(7):
             tick = bench.tick(before, rejected=rejected, sensors_rejected=sensors)
-            assert tick.faults == Fault.NONE, "those of sensors do not count"
+            assert tick.faults == Fault.NONE, "rejected sensor frames must not count"
     verdict = bench.tick(mode, rejected=4, sensors_rejected=3)
     assert verdict.faults == (Fault.REFUSED_FRAMES if mode in POWERED else Fault.NONE)
 
 
-def test_guard_stops_a_bench_that_stalls_for_more_than_its_share():
+def test_guard_stops_a_run_whose_virtual_clock_pauses_for_more_than_its_share():
     stood = 10_000_000
     for tick, allowed in ((0, 50), (4000, 550)):  # half a second, and 5 % of 4000 periods of 25 ms
         bench = Bench()
@@ -261,14 +261,14 @@ def test_guard_stops_a_bench_that_stalls_for_more_than_its_share():
     assert bench.tick(tick=0).stop is Stop.STRETCHED
 
 
-def test_guard_ignores_any_number_of_short_stalls():
+def test_guard_ignores_any_number_of_short_pauses_of_the_virtual_clock():
     bench = Bench()
     assert not any(bench.tick(stretched_ns=3_999_999).stop for _ in range(1000))
     stops = [bench.tick(tick=0, stretched_ns=4_000_000).stop for _ in range(126)]
     assert stops == [Stop.NONE] * 125 + [Stop.STRETCHED]
 
 
-def test_guard_probes_a_still_leg_and_faults_if_it_does_not_move():
+def test_guard_pushes_a_leg_with_frozen_reading_and_faults_if_it_does_not_move():
     limits = NONE._replace(watched_legs=63, length_noise_m=0.01, push_N=np.full(6, 8.0), push_ticks=2)
     bench = Bench(encoders=limits)
     astray, ready = leg(5.2, 5.0), leg(DriveState.READY, DriveState.RUN, np.int64)
@@ -289,7 +289,7 @@ def test_guard_warns_about_bus_errors_and_rejected_frames():
         assert Bench().tick(mode, rejected=1).warnings == Warn.REJECTED
 
 
-def test_guard_warns_about_late_ticks_and_about_8_in_32():
+def test_guard_warns_about_late_ticks_and_separately_about_8_late_ticks_in_32():
     bench = Bench()
     late, on_time, apart = PERIOD_NS // 5 + 1, PERIOD_NS // 5, PERIOD_NS // 10
     assert bench.tick(lateness_ns=on_time).warnings == Warn.NONE
@@ -342,7 +342,7 @@ def test_guard_warns_about_recorder_loss_and_stops_if_configured():
     assert (dead.warnings, dead.stop, dead.faults) == (Warn.RECORDER, Stop.NONE, Fault.NONE)
     strict = Bench(on_recorder_loss="stop")
     assert strict.tick(recorder_alive=False).stop is Stop.RECORDER
-    assert strict.tick(recorder_alive=False, skipped=9).stop is Stop.RECORDER, "slower is no cure"
+    assert strict.tick(recorder_alive=False, skipped=9).stop is Stop.RECORDER, "the recorder loss is reported"
     assert not strict.tick(recorder_alive=True).stop
     assert strict.tick(recorder_alive=True, recorder_dropped=9).stop
     assert not strict.tick(Mode.PARKED, recorder_alive=False).stop
@@ -354,7 +354,7 @@ UNSURE = {"fusion_warnings": Warn.ENCODER, "fusion_faults": Fault.UNCERTAIN}
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_warns_and_while_powered_faults_for_the_filter(mode):
+def test_guard_warns_about_an_uncertain_filter_and_faults_for_it_while_powered(mode):
     verdict = Bench().tick(mode, **UNSURE, condition=60.0, bus_errors=1)
     assert verdict.warnings == Warn.ENCODER | Warn.BUS
     assert verdict.faults == (Fault.UNCERTAIN | Fault.CONDITION if mode in POWERED else Fault.NONE)

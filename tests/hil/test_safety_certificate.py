@@ -27,7 +27,7 @@ def broken(bench, **changes):
     return bool(figures(bench, **changes).warnings & Warn.CERTIFICATE)
 
 
-def test_guard_has_no_figures_for_a_law_without_a_certificate():
+def test_guard_reports_no_certificate_values_for_a_law_without_a_certificate():
     bench = Bench()
     for mode in Mode:
         np.testing.assert_array_equal(figures(bench, mode).certificate, CLEAN)
@@ -65,7 +65,7 @@ def test_guard_warns_or_faults_for_a_broken_certificate(action, warning, fault):
     assert not figures(certified(action), bus_off=True).faults & Fault.CERTIFICATE
 
 
-def test_guard_does_not_watch_a_platform_on_its_brakes():
+def test_guard_does_not_check_the_certificate_of_a_platform_on_its_brakes():
     ready = np.full(6, int(DriveState.READY))
     bench = certified()
     for de in (0.0, 0.5):
@@ -89,7 +89,7 @@ def test_guard_does_not_watch_a_platform_on_its_brakes():
     ],
     ids=["stale", "unused", "skipped", "late", "jump"],
 )
-def test_guard_restarts_the_watch_after_a_disturbed_tick(changes):
+def test_guard_restarts_the_certificate_check_after_a_disturbed_tick(changes):
     bench = certified()
     assert not broken(bench)
     assert not broken(bench, de=0.5, **changes)
@@ -107,7 +107,7 @@ def test_guard_divides_the_rate_of_V_by_the_time_of_skipped_ticks():
 
 
 @pytest.mark.parametrize("late_ns", [-4_000_000, 4_000_000])
-def test_guard_adds_the_motion_of_a_late_tick_to_the_bound(late_ns):
+def test_guard_adds_the_motion_of_a_late_tick_to_the_certificate_bound(late_ns):
     """2 m/s and up to 100 m/s^2 for 4 ms give 8 mm and 0.4 m/s; W = 2 (e + de)."""
     moving = {"dq_d": leg(2.0), "lateness_ns": late_ns}
     bench = certified(disturbance=100.0)
@@ -118,7 +118,7 @@ def test_guard_adds_the_motion_of_a_late_tick_to_the_bound(late_ns):
 
 
 @pytest.mark.parametrize("changes", [{"age": leg(1, 0, np.int64)}, UNUSED])
-def test_guard_does_not_compare_an_error_with_an_estimated_one(changes):
+def test_guard_does_not_compare_a_measured_error_with_an_estimated_one(changes):
     bench = certified()
     figures(bench)
     figures(bench, **changes)
@@ -127,7 +127,7 @@ def test_guard_does_not_compare_an_error_with_an_estimated_one(changes):
     assert broken(bench, de=0.8)
 
 
-def test_guard_waits_for_the_laws_forces_despite_a_stale_leg():
+def test_guard_checks_the_certificate_only_after_the_law_forces_act_despite_a_stale_leg():
     bench = certified(ticks=4)
     figures(bench)
     figures(bench, tau=leg(1000.0))
@@ -136,7 +136,7 @@ def test_guard_waits_for_the_laws_forces_despite_a_stale_leg():
     assert judged == [False] * 4 + [True] * 2
 
 
-def test_guard_does_not_judge_the_law_after_limited_forces():
+def test_guard_does_not_check_the_certificate_after_limited_forces():
     bench = certified(ticks=3)
     figures(bench)
     assert not broken(bench, tau=0.0)
@@ -150,10 +150,10 @@ def test_guard_does_not_judge_the_law_after_limited_forces():
     bench.tick(tau=leg(1000.0))
     bench.safety.reset()
     assert not broken(bench, de=0.5)
-    assert broken(bench, de=0.8), "a reset forgets it"
+    assert broken(bench, de=0.8), "a reset must clear the earlier force change"
 
 
-def test_guard_uses_pose_errors_for_a_law_in_pose_space():
+def test_guard_checks_the_certificate_of_a_pose_space_law_with_pose_errors():
     bench = certified(pose=1.0)
     pushed = {"p_d": np.array([0.0, 0.0, 0.5]), "q": leg(5.1, 5.0)}
     assert bench.tick(**pushed).certificate[0] == pytest.approx(4 * 0.25)

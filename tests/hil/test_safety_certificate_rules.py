@@ -31,7 +31,7 @@ def watched(**changes):
     return table
 
 
-def test_certificate_default_has_no_axes_and_W_grows_by_the_disturbance():
+def test_certificate_default_has_no_axes_and_sqrt_V_bound_grows_by_the_disturbance():
     """Near zero W grows by the disturbance; farther out it tends towards the disturbance."""
     assert certificate.NO_WATCH.constants.shape == (0, 6)
     assert certificate.NO_WATCH.ticks == 0
@@ -46,7 +46,7 @@ def test_certificate_V_is_the_quadratic_form():
     assert certificate.lyapunov(table, 1, 0.5, -2.0) == 2 * 0.25 + 2 * 0.25 * 0.5 * -2.0 + 8 * 4.0
     assert certificate.lyapunov(table, 5, -0.5, -2.0) == 6 * 0.25 + 2 * 1.0 + 12 * 4.0
     assert certificate.lyapunov(table, 0, 0.0, 0.0) == 0.0
-    assert certificate.lyapunov(watched(P_11=-1.0), 0, 2.0, 0.0) == 0.0, "rounding makes no root of it"
+    assert certificate.lyapunov(watched(P_11=-1.0), 0, 2.0, 0.0) == 0.0, "V below 0 by rounding counts as 0"
 
 
 def asked_for(table, e, de, feed):
@@ -56,7 +56,7 @@ def asked_for(table, e, de, feed):
 
 
 @ON_ONE_LEG
-def test_certificate_demand_inside_the_layer_follows_the_gains(leg):
+def test_certificate_demanded_acceleration_inside_the_boundary_layer_follows_the_gains(leg):
     table = watched(K_P=[4, 5, 6, 7, 8, 9], K_D=[1, 2, 3, 1, 2, 3], slope=2.0, steepness=16.0, layer=0.75)
     linear, asked = asked_for(table, six(0.25, leg), six(0.25, leg), np.arange(3.0, 9.0))
     expected = np.arange(3.0, 9.0)
@@ -66,14 +66,14 @@ def test_certificate_demand_inside_the_layer_follows_the_gains(leg):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_certificate_demand_beyond_the_layer_of_a_leg_is_smaller(sign):
+def test_certificate_demanded_acceleration_beyond_the_boundary_layer_is_smaller(sign):
     table = watched(K_P=4.0, K_D=2.0, slope=2.0, steepness=16.0, layer=0.5)
     linear, asked = asked_for(table, six(0.25 * sign, 1), six(0.5 * sign, 1), 0.0)
     np.testing.assert_array_equal(linear, six(2.0 * sign, 1))
     np.testing.assert_array_equal(asked, six((2.0 - 16.0 * 0.5) * sign, 1), "|de + 2 e| is 1, the layer 0.5")
 
 
-def test_certificate_a_shared_layer_uses_the_norm_of_all_legs():
+def test_certificate_boundary_layer_shared_by_all_legs_uses_the_norm_of_all_legs():
     table = watched(K_P=0.0, K_D=0.0, slope=1.0, steepness=16.0, layer=1.0, shared=1.0)
     e, de = np.array([0, 1.0, 0, 0, 0, 0]), np.array([0, 0.5, 0, -2.0, 0, 0])
     _, asked = asked_for(table, e, de, 0.0)
@@ -86,7 +86,9 @@ def test_certificate_a_shared_layer_uses_the_norm_of_all_legs():
     np.testing.assert_array_equal(asked, six(-16.0 * (4.0 - 1.0), 5))
 
     _, asked = asked_for(watched(layer=0.0, steepness=1.0), 0.0, 0.0, 0.0)
-    np.testing.assert_array_equal(asked, np.zeros(6), "a layer without thickness asks nothing of no error")
+    np.testing.assert_array_equal(
+        asked, np.zeros(6), "a layer of zero thickness must demand nothing at zero error"
+    )
 
 
 def moved(q_d=0.0, dq_d=0.0, ddq_d=0.0, q_0=0.0, dq_0=0.0, ddq_0=0.0, leg=3):
@@ -117,7 +119,7 @@ def test_certificate_reference_change_by_its_own_rates_is_no_jump():
     assert moved(ddq_d=16.1)
 
 
-def test_certificate_spread_is_the_distance_to_the_farthest_acting_demand():
+def test_certificate_spread_is_the_distance_to_the_farthest_acceleration_demand_still_acting():
     memory = np.full((9, 6), 99.0)
     memory[6:, 2] = [1.0, -3.0, 2.0]
     assert certificate.spread(memory, 2, 0.5) == 3.5
@@ -145,7 +147,7 @@ def test_certificate_remembers_reference_and_demands_until_reset():
     np.testing.assert_array_equal(memory[3:], np.full((5, 6), 9.0))
 
 
-def test_certificate_limited_forces_count_for_their_acting_ticks():
+def test_certificate_counts_limited_forces_for_as_many_ticks_as_they_act():
     memory = np.full((9, 6), 9.0)
     certificate.settle(memory, True)
     left = [memory[2, 1]]
@@ -156,7 +158,7 @@ def test_certificate_limited_forces_count_for_their_acting_ticks():
     assert (memory == 9.0).sum() == 9 * 6 - 1
 
 
-def test_certificate_an_estimate_disturbs_its_own_tick_and_the_next():
+def test_certificate_tick_with_an_estimated_length_and_the_next_one_are_disturbed():
     for before, left in ((0.0, [1.0, 0.0]), (4.0, [3.0, 2.0])):
         memory = np.full((9, 6), 9.0)
         memory[2, 1] = before
@@ -266,14 +268,14 @@ def test_certificate_noise_and_lateness_do_not_count_as_growth():
     assert not watch.tick(0.5), "at the bound"
 
 
-def test_certificate_watch_restarts_after_a_disturbed_tick():
+def test_certificate_check_restarts_after_a_disturbed_tick():
     watch = Watched(confirm=1.0)
     watch.tick(0.0)
     assert not watch.tick(1.0, whole=False)
     np.testing.assert_allclose(watch.figures[:2], [600.0, 600.0 / 1e-3])
     assert np.isnan(watch.figures[2:]).all()
     assert watch.memory[6, 3] == 40.0
-    assert watch.memory[7, 3] == 0.0, "what was asked for before still acts"
+    assert watch.memory[7, 3] == 0.0, "the earlier demand must still act"
     assert not watch.tick(1.0)
     assert watch.tick(2.0)
     assert not watch.tick(3.0, whole=False)
@@ -282,11 +284,11 @@ def test_certificate_watch_restarts_after_a_disturbed_tick():
     watch = Watched()
     watch.tick(0.5)
     np.testing.assert_array_equal(
-        watch.memory[6:, 3], [20.0, 20.0], "at first it has always asked for the same"
+        watch.memory[6:, 3], [20.0, 20.0], "the memory of demands must begin with the first demand"
     )
 
 
-def test_certificate_bound_beyond_the_layer_allows_the_missing_demand():
+def test_certificate_bound_beyond_the_boundary_layer_allows_the_missing_acceleration():
     watch = Watched(noise=0.0, K_P=0.0, P_12=0.0, slope=0.0, steepness=30.0, layer=0.5)
     watch.tick(1.0)
     watch.tick(1.0)
@@ -302,7 +304,7 @@ def test_certificate_bound_beyond_the_layer_allows_the_missing_demand():
     np.testing.assert_allclose(watch.figures[2], allowed + 5 * (0.0245 * 8) ** 2)
 
 
-def test_certificate_first_tick_of_a_watch_accepts_any_error():
+def test_certificate_check_accepts_any_error_in_its_first_tick():
     """One period later W = 24.5 breaks it, as at most 24.4 is allowed."""
     watch = Watched(noise=0.0, confirm=1.0, K_D=0.0, P_12=0.0)
     for whole in (True, False):

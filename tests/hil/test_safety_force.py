@@ -16,7 +16,7 @@ def test_guard_resumes_a_force_at_once_and_then_limits_its_changes():
     bench = Bench()
     for _ in range(12):
         bench.tick(Mode.UNLOADING, 0.0)
-    assert bench.tick(Mode.HELD, 90.0).tau[0] == 50.0, "a step"
+    assert bench.tick(Mode.HELD, 90.0).tau[0] == 50.0, "the first change must be limited by the force step"
     held = np.array([90.0, -90.0, 0.0, 95.0, 40.0, -10.0])
     bench.safety.resume(held)
     verdict = bench.tick(Mode.HELD, held)
@@ -69,7 +69,7 @@ def climb(bench, sign=1.0):
     return [float(bench.tick(tau=leg(sign * 100.0)).tau[3]) for _ in range(13)]
 
 
-def test_guard_window_lasts_250_ms_and_at_least_one_tick():
+def test_guard_force_window_lasts_250_ms_and_at_least_one_tick():
     bench = Bench()
     # from the zero before the first tick: 50 by the step, then 80 until that zero is ten ticks old and gone
     assert climb(bench) == [50.0] + [80.0] * 9 + [100.0] * 3
@@ -78,7 +78,7 @@ def test_guard_window_lasts_250_ms_and_at_least_one_tick():
     assert climb(Bench(rate_Hz=1.0))[:3] == [50.0, 100.0, 100.0]
 
 
-def test_guard_window_continues_over_skipped_periods():
+def test_guard_force_window_continues_over_skipped_periods():
     bench = Bench()
     bench.tick(tau=leg(50.0))
     assert bench.tick(tau=leg(100.0), skipped=8).tau[3] == 80.0
@@ -95,7 +95,7 @@ def test_guard_window_continues_over_skipped_periods():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_guard_window_is_empty_after_idle(sign):
+def test_guard_force_window_is_empty_after_idle(sign):
     bench = Bench(rate_Hz=160.0)
     for _ in range(15):
         bench.tick(tau=leg(sign * 30.0))
@@ -104,7 +104,7 @@ def test_guard_window_is_empty_after_idle(sign):
     assert sent == [50.0] + [80.0] * 29
 
 
-def test_guard_window_includes_the_last_tick():
+def test_guard_force_window_includes_the_last_tick():
     bench = Bench(LIMITS.model_copy(update={"force_step_N": 1e6}), drive_force_limit=1e6)
     assert [float(bench.tick(tau=leg(a)).tau[3]) for a in (70.0, -30.0, -30.0)] == [70.0, -10.0, -10.0]
 
@@ -133,7 +133,7 @@ def test_guard_sends_no_force_for_a_nan_law_and_keeps_the_demand():
     np.testing.assert_array_equal(bench.tick(tau=leg(1000.0)).tau_asked, leg(1000.0))
 
 
-def test_guard_repeats_to_the_bit_after_reset():
+def test_guard_gives_bitwise_equal_results_after_a_reset():
     bench = Bench()
     inputs = [(float(100 * np.sin(k)), k % 7 == 0, k % 5) for k in range(60)]
 

@@ -68,7 +68,7 @@ def watching(disturbance):
     return Bench(watch=Watch(table, 3))
 
 
-def test_errors_of_length_and_of_rate_have_their_own_weights():
+def test_certificate_weights_errors_of_length_and_of_rate_separately():
     bench = watching(disturbance=1e3)
     assert bench.tick(q=on_leg_3(4.5, 5.0), dq=on_leg_3(-0.25)).certificate[0] == pytest.approx(
         2.25 + 0.5 + 0.25
@@ -79,7 +79,7 @@ def test_errors_of_length_and_of_rate_have_their_own_weights():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_lateness_is_weighted_by_speed_and_by_acceleration(sign):
+def test_certificate_bound_weights_lateness_by_speed_and_by_acceleration(sign):
     """sqrt(P_11) = 3 times 2 m/s, sqrt(P_22) = 2 times 3 m/s^2 and a disturbance of 50 m/s^2."""
     bench = watching(disturbance=on_leg_3(50.0, 1e3))
     moving = {"dq_d": on_leg_3(sign * 2.0), "dq": on_leg_3(sign * 1.5), "ddq_d": on_leg_3(sign * -3.0)}
@@ -101,7 +101,7 @@ def accelerated(tick):
 @pytest.mark.parametrize(
     ("changed", "by"), [("q_d", 0.99), ("q_d", 1.01), ("q_d", -1.01), ("dq_d", 0.99), ("dq_d", 1.01)]
 )
-def test_a_reference_jump_is_measured_against_its_own_rates(changed, by):
+def test_certificate_measures_a_reference_jump_against_the_rates_of_the_reference(changed, by):
     """A disturbance of 8 m/s^2 allows 0.2 m/s within a tick, and 5 mm."""
     bench = watching(disturbance=8.0)
     for tick in range(3):
@@ -123,7 +123,7 @@ ON_EACH_OFF = pytest.mark.parametrize("mode", OFF)
 
 
 @ON_EACH_OFF
-def test_refused_frames_before_power_up_count_for_the_bus_fault(mode):
+def test_frames_that_could_not_be_sent_before_power_up_count_for_the_bus_fault(mode):
     bench = Bench()
     for _ in range(4):
         verdict = bench.tick(mode, sends_failed=1)
@@ -132,7 +132,7 @@ def test_refused_frames_before_power_up_count_for_the_bus_fault(mode):
 
 
 @ON_EACH_OFF
-def test_missed_periods_and_late_ticks_before_power_up_count(mode):
+def test_missed_periods_and_late_ticks_before_power_up_count_for_later_limits(mode):
     bench = Bench()
     assert bench.tick(mode, skipped=4).stop is Stop.NONE
     assert bench.tick(Mode.LOADING, skipped=1).stop is Stop.MISSED
@@ -184,7 +184,7 @@ WITHIN = np.array([100.0, -100.0, 99.0, -99.0, 100.0, 0.0])
 
 
 @pytest.mark.parametrize("mode", [Mode.HELD, Mode.PARKING])
-def test_a_resumed_force_beyond_the_limit_becomes_the_limit(mode):
+def test_force_resumed_after_a_fault_is_clamped_to_the_force_limit(mode):
     bench = Bench()
     bench.tick(mode, 0.0)
     bench.safety.resume(BACK)
@@ -200,7 +200,7 @@ def test_a_resumed_force_beyond_the_limit_becomes_the_limit(mode):
     assert verdict.warnings & Warn.FORCE_STEP
 
 
-def test_a_force_is_resumed_at_once_with_a_window_of_one_tick():
+def test_resumed_force_is_sent_at_once_if_the_force_window_is_one_tick():
     bench = Bench(rate_Hz=1.0)
     bench.safety.resume(WITHIN)
     verdict = bench.tick(Mode.HELD, WITHIN)

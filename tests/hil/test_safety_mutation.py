@@ -168,7 +168,7 @@ def survivors(
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_rule_tests_notice_every_change_of_their_rule(family):
+def test_rule_tests_fail_for_every_mutation_of_their_safety_rule(family):
     module = claims("test_safety_certificate_rules.py" if family == "certificate" else "test_safety_rules.py")
     left = survivors(
         family, module, lambda m: setattr(module, family, m), f"test_{family}_", " limit_effort: "
@@ -176,7 +176,7 @@ def test_rule_tests_notice_every_change_of_their_rule(family):
     assert not left, "\n".join(left)
 
 
-def test_encoder_tests_notice_every_change_of_the_residual_rule():
+def test_encoder_tests_fail_for_every_mutation_of_the_residual_rules():
     rules, steps = claims("test_encoder_rules.py"), claims("test_encoder_steps.py")
     vars(rules).update({k: v for k, v in vars(steps).items() if k.startswith("test_residuals_")})
 
@@ -198,7 +198,7 @@ def whole() -> ModuleType:
 
 
 @pytest.mark.long
-def test_guard_tests_notice_every_change_of_the_combined_kernels(monkeypatch):
+def test_guard_tests_fail_for_every_mutation_of_the_combined_kernels(monkeypatch):
     links = plain_links()
 
     def exchange(kernels: ModuleType) -> None:
@@ -216,7 +216,7 @@ def test_guard_tests_notice_every_change_of_the_combined_kernels(monkeypatch):
 
 
 @pytest.mark.long
-def test_encoder_tests_notice_every_change_of_the_encoder_rules(monkeypatch):
+def test_encoder_tests_fail_for_every_mutation_of_the_encoder_rules(monkeypatch):
     doubts, motion = claims("test_encoder_kernels.py"), claims("test_encoder_motion.py")
     for other in (motion, claims("test_encoder_answers.py")):
         vars(doubts).update({k: v for k, v in vars(other).items() if k.startswith("test_encoders_")})
@@ -234,6 +234,6 @@ def test_encoder_tests_notice_every_change_of_the_encoder_rules(monkeypatch):
 
 
 @pytest.mark.long
-def test_guard_tests_notice_every_change_of_the_guards_state(monkeypatch):
+def test_guard_tests_fail_for_every_mutation_of_the_guard(monkeypatch):
     left = survivors("guard", whole(), lambda m: monkeypatch.setattr(safety_bench, "guard", m), "test_guard_")
     assert not left, "\n".join(left)

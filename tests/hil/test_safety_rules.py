@@ -35,7 +35,7 @@ def ints(value, leg, other):
 
 @pytest.mark.parametrize("shape", [(6,), (3,), (3, 3), (6, 6)])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_signals_one_number_that_is_not_finite_is_found_anywhere(shape, bad):
+def test_signals_number_that_is_not_finite_is_found_at_any_position(shape, bad):
     x = np.full(shape, -1e300)
     assert signals.all_finite(x)
     for index in np.ndindex(shape):
@@ -92,7 +92,7 @@ def test_signals_bus_is_down_if_off_or_after_repeated_refusals():
 # -- stroke
 
 
-def test_motion_stroke_cap_is_sqrt_2ad_and_at_least_the_creep_speed():
+def test_motion_speed_cap_before_a_soft_end_is_sqrt_2ad_and_at_least_the_creep_speed():
     assert motion.speed_cap(1.0, 2.0) == 2.0
     assert motion.speed_cap(0.25, 8.0) == 2.0
     assert motion.speed_cap(4.0, 8.0) == 8.0
@@ -101,7 +101,7 @@ def test_motion_stroke_cap_is_sqrt_2ad_and_at_least_the_creep_speed():
 
 
 @ON_ONE_LEG
-def test_motion_stroke_speed_is_capped_only_towards_a_soft_end(leg):
+def test_motion_speed_of_a_leg_is_capped_only_towards_a_soft_end(leg):
     def fast(q, dq):
         return motion.too_fast_for_end(six(q, leg, 5.0), six(dq, leg), 2.0, 8.0, 2.0)
 
@@ -119,7 +119,7 @@ def test_motion_stroke_speed_is_capped_only_towards_a_soft_end(leg):
 
 
 @ON_ONE_LEG
-def test_motion_stroke_speed_limit_applies_in_both_directions(leg):
+def test_motion_speed_limit_of_a_leg_applies_in_both_directions(leg):
     for dq, expected in ((0.5, False), (-0.5, False), (0.501, True), (-0.501, True)):
         assert motion.overspeed(six(dq, leg), 0.5) == expected
 
@@ -184,12 +184,12 @@ def test_force_limits_window_drops_a_force_with_its_row(leg):
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1, -1])
 def test_motion_standstill_checks_the_rate_of_every_reporting_leg(leg, sign):
-    assert (motion.REST_m_s, motion.HOP) == (0.02, 1.0), "those of the page on faults"
+    assert (motion.REST_m_s, motion.HOP) == (0.02, 1.0), "the constants stated in the docs on faults"
     heard, silent = np.zeros(6, np.int64), ints(1, leg, 0)
     assert motion.at_rest(six(sign * 0.49, leg), heard, 0.5)
     assert not motion.at_rest(six(sign * 0.5, leg), heard, 0.5)
     assert motion.at_rest(six(sign * 0.5, leg), silent, 0.5)
-    assert not motion.at_rest(six(0.5, leg, 0.6), silent, 0.5), "the others are heard"
+    assert not motion.at_rest(six(0.5, leg, 0.6), silent, 0.5), "the other legs report"
 
 
 @ON_ONE_LEG

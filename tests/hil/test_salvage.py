@@ -123,7 +123,7 @@ def test_a_damaged_chunk_is_left_out_and_its_ticks_are_counted(path, chunks, tmp
     assert report.ticks_lost > 0
     assert report.bytes_lost == chunk.chunk_length
     log = Log.open(out)
-    assert log.summary.closed == "salvaged", "its run has closed another log"
+    assert log.summary.closed == "salvaged", "a salvaged log was not closed by its run"
     assert log.metadata["summary"]["ticks"] == str(report.ticks)
     assert log.metadata[SALVAGE]["ticks_lost"] == str(report.ticks_lost)
     assert len(list(log.ticks())) == report.ticks
@@ -190,7 +190,7 @@ def test_a_damaged_record_header_loses_bytes_up_to_the_next_chunk(path, chunks, 
 
 
 @pytest.mark.parametrize("crc", [True, False])
-def test_after_damage_a_chunk_counts_if_its_checksum_holds(path, chunks, tmp_path, out, crc):
+def test_chunk_after_damage_is_kept_if_its_checksum_is_correct(path, chunks, tmp_path, out, crc):
     """A damaged chunk in between is skipped."""
     data, first, second = path.read_bytes(), *(chunk.chunk_start_offset for chunk in chunks[:2])
     bad = bytearray(data[first : first + chunks[0].chunk_length])

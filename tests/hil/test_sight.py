@@ -72,7 +72,7 @@ def load_frames(*samples: tuple[float, float]) -> Any:
     )
 
 
-def test_refused_sensor_frames_count_in_total_and_separately(parts):
+def test_rejected_sensor_frames_are_counted_in_total_and_separately(parts):
     good = load_frames((1.0, 0.0))
     bad = good.copy()
     bad["data"][:, 0] ^= 1
@@ -82,7 +82,7 @@ def test_refused_sensor_frames_count_in_total_and_separately(parts):
 
 
 @pytest.mark.parametrize("fusing", [True, False])
-def test_the_newest_load_sample_is_rotated_by_the_last_pose(parts, fusing):
+def test_newest_wrench_sample_is_rotated_to_the_base_frame_by_the_last_pose(parts, fusing):
     wrench = ExternalWrench(None, 500.0, 1e-3)
     cycle = Cycle(replace(parts, wrench=wrench, sensors=P, fusion=fused(parts) if fusing else None))
     seen = cycle.parts.fusion if fusing else cycle.sight.estimator
@@ -125,7 +125,7 @@ def seen_by_filter(parts: Any, **different: Any) -> tuple[Cycle, list[Any]]:
     ("legs", "residual", "agreed"),
     [(ALL, 0.999 * AGREED_m, True), (ALL, AGREED_m, False), (0b111101, 0.0, False)],
 )
-def test_the_legs_continue_alone_only_from_a_pose_of_all_six_legs(parts, legs, residual, agreed):
+def test_kinematic_estimator_takes_from_the_filter_only_a_pose_of_all_six_legs(parts, legs, residual, agreed):
     cycle, called = seen_by_filter(parts, legs=legs, residual=residual)
     tick = record_of(tick=5, age=0, length=1.5)
     observe_in(cycle, tick, last=record_of(tau=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))
@@ -140,9 +140,7 @@ def test_a_repeated_sensor_sample_counts_only_after_a_reset(parts):
     cycle = Cycle(replace(parts, sensors=P))
     for heard in (1, 0):
         observe_in(cycle, record_of(tick=5), load_frames((1.0, 0.0)))
-        assert cycle.sight.sensors.slots["count"][:3].tolist() == [0, 0, heard], (
-            "the second one is a repetition"
-        )
+        assert cycle.sight.sensors.slots["count"][:3].tolist() == [0, 0, heard], "a repeated sample"
     cycle.sight.reset()
     observe_in(cycle, record_of(tick=5), load_frames((1.0, 0.0)))
     assert cycle.sight.sensors.slots["count"][:3].tolist() == [0, 0, 1]
@@ -176,7 +174,7 @@ def looking(parts: Any, rate_Hz: float = 1000.0) -> tuple[Sight, Looking]:
 
 
 @pytest.mark.parametrize(("rate_Hz", "every"), [(1000.0, 20), (400.0, 8), (100.0, 6)])
-def test_the_first_pose_is_searched_every_20_ms_or_sixth_tick(parts, rate_Hz, every):
+def test_pose_search_at_the_start_runs_every_20_ms_but_at_most_every_sixth_tick(parts, rate_Hz, every):
     sight, looks = looking(parts, rate_Hz)
     for number in range(1, 4 * every + 1):
         see(sight, record_of(tick=number, age=0, length=float(number)))
@@ -184,7 +182,7 @@ def test_the_first_pose_is_searched_every_20_ms_or_sixth_tick(parts, rate_Hz, ev
 
 
 @pytest.mark.parametrize("leg", [0, 5])
-def test_a_due_search_waits_for_feedback_of_all_six_legs(parts, leg):
+def test_pose_search_that_is_due_waits_for_feedback_of_all_six_legs(parts, leg):
     sight, looks = looking(parts)
     late = 1 * (np.arange(6) == leg)
     for number in range(15, 31):
@@ -220,7 +218,7 @@ def test_a_silent_leg_is_extrapolated_at_its_last_rate(parts):
     np.testing.assert_array_equal(tick["length"], np.full(6, 1.5))
 
 
-def test_search_starts_at_the_last_pose_and_after_a_reset_at_home(parts):
+def test_pose_search_starts_at_the_last_pose_and_after_a_reset_at_home(parts):
     sight = Sight(parts)
     p = parts.home_p + 0.1
     for back, stays in ((sight.forget, True), (sight.reset, False)):

@@ -110,7 +110,7 @@ def moving(**columns: Any) -> list[Record]:
 
 
 @pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
-def test_the_decoder_needs_only_frames_and_the_last_measurement(layout):
+def test_decoder_reads_only_frames_and_the_last_measurement(layout):
     protocol = LegsProtocol(layout, (1, 2, 3, 4, 5, 6))
     frames = [
         one_feedback(protocol, leg, 1.5 + 0.1 * leg, 0.25, 100.0 * leg, DriveState.RUN, 8) for leg in range(4)
@@ -126,7 +126,7 @@ def test_the_decoder_needs_only_frames_and_the_last_measurement(layout):
     follow(lambda: next(stages), [record_of(tick=8)], ("tick",), part("measurement"))
 
 
-def test_the_estimator_needs_only_lengths_and_rates():
+def test_pose_estimator_reads_only_leg_lengths_and_rates():
     ticks, first = moving(), sample(BOOK["states"][4])
     owns = (*POSE, "J", "fk_iterations", "fk_residual", "hop", "condition")
     follow(lambda: Estimator(PLATFORM, first.p, first.R).update, ticks, ("q", "dq"), owns)
@@ -144,7 +144,7 @@ def fusion():
     return found
 
 
-def test_the_filter_needs_only_the_measurement():
+def test_fusion_filter_reads_only_the_measurement():
     def make_stage():
         found = fusion()
 
@@ -165,14 +165,14 @@ def test_the_filter_needs_only_the_measurement():
     follow(make_stage, moving(), (*reads, "innovation_tracker", "tracker"), owns)
 
 
-def test_the_reference_needs_only_the_sample():
+def test_leg_reference_reads_only_the_pose_sample():
     owns = ("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d")
     there = sample(BOOK["states"][20])
     follow(lambda: lambda tick: fill_reference(PLATFORM, there, tick), moving(), (), owns)
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_a_law_needs_only_estimate_reference_and_shortfall(name):
+def test_control_law_reads_only_estimate_reference_and_force_shortfall(name):
     follow(lambda: make(name).effort, moving(), LAWS_READ, ("tau_law",))
 
 

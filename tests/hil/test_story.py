@@ -27,7 +27,7 @@ SECTIONS = dict(re.findall(r"^### (\S+ \S+)\n(.*?)(?=^##|\Z)", PAGE, re.MULTILIN
 NUMBER = re.compile(r"(?<![\w.])[-+]?(?:nan|inf|\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?![\w.])")
 
 
-def test_every_fault_mode_warning_and_stop_has_its_row_and_section():
+def test_every_fault_mode_warning_and_stop_has_a_report_text_and_a_docs_section():
     assert sorted(row.fault for row in FAULTS) == sorted(Fault)
     assert all(len(row.advice) > 10 for row in FAULTS)
     assert set(DONE) == set(Mode)
@@ -173,7 +173,7 @@ def moving(under_way: Bench) -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize("case", CASES, ids=[f"{case.fault.name}-{n}" for n, case in enumerate(CASES)])
-def test_a_fault_is_reported_with_leg_value_and_limit_of_its_tick(moving, case):
+def test_fault_report_has_leg_value_and_limit_of_its_tick(moving, case):
     narrator, events = strike(moving, case)
     story = told(narrator)
     found = story.findings
@@ -215,13 +215,13 @@ def assert_events(events: list[str], story: Story) -> None:
         assert json.loads(fields) == finding.fields()
 
 
-def test_every_fault_has_a_case_or_its_own_test():
+def test_every_fault_is_covered_by_a_fault_report_case_or_a_separate_test():
     others = {Fault.SET_UP, Fault.UNCERTAIN, Fault.CERTIFICATE}
     assert {case.fault for case in CASES} | others == set(Fault)
 
 
 @pytest.mark.parametrize("pose", [False, True])
-def test_a_broken_certificate_is_reported_with_its_axes(moving, pose):
+def test_broken_lyapunov_certificate_is_reported_with_its_axes(moving, pose):
     safety = moving.cycle.parts.safety
     safety._watched[SCALARS, POSE] = float(pose)
     safety._watch_memory[COUNT] = [0, 2, 3, 3, 4, 1]
@@ -267,5 +267,5 @@ def test_all_faults_of_one_tick_are_reported_with_causes_first(moving):
     assert len(story.next) == 4
 
 
-def test_a_fault_without_evidence_in_its_tick_is_reported_by_name(moving):
+def test_fault_whose_cause_is_not_visible_in_its_tick_is_reported_by_name_only(moving):
     assert strike(moving, Case(Fault.SPEED, {"dq": 0.0}, []))[0].short == "latched fault SPEED"

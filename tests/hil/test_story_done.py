@@ -55,7 +55,7 @@ def test_drives_on_a_dead_bus_are_not_reported_as_switched_off(bench):
     assert "`brake`" in story.done_text
     later = go_on(bench, narrator, 12)
     assert "all six in OFF" in later.done_text
-    assert not any("--release" in advice for advice in later.next), "nothing is held"
+    assert not any("--release" in advice for advice in later.next), "no release without a held platform"
 
 
 def test_a_drive_that_does_not_confirm_is_listed_with_its_last_state(bench):
@@ -82,7 +82,7 @@ def test_an_emergency_stop_is_reported_with_its_confirmations(bench, deaf):
     assert ("sent; not confirmed by drive 0, 4" if deaf else "sent; all six drives confirmed it") in text
 
 
-def test_a_reset_ends_the_report_and_the_next_fault_starts_a_new_one(bench):
+def test_reset_ends_the_fault_report_and_the_next_fault_starts_a_new_one(bench):
     narrator = Narrator(bench.cycle)
     go_on(bench, narrator, 1, (Operator.ESTOP,))
     bench.step((Operator.RESET,))
@@ -138,7 +138,7 @@ def but(leg: int, state: int, others: int) -> list[int]:
     return [state if each == leg else others for each in range(6)]
 
 
-def test_each_mode_entered_after_a_fault_is_one_reported_step(watched):
+def test_fault_report_has_one_step_for_each_mode_entered_after_the_fault(watched):
     """For any reaction, each entered mode is one step, in its tick."""
     entered = [Mode.STOPPING, Mode.PARKING, Mode.UNLOADING, Mode.PARKED]
     for mode in entered:
@@ -154,7 +154,7 @@ def test_each_mode_entered_after_a_fault_is_one_reported_step(watched):
     assert done[3].text.endswith("the brakes passed their test")
 
 
-def test_drives_confirm_a_second_switch_off_again(watched):
+def test_fault_report_requires_a_new_confirmation_for_a_second_switch_off(watched):
     """Parked, then held because a brake slips, then released."""
     watched.look(Mode.PARKED, READY)
     assert "all six in OFF 1 ms later" in watched.look(Mode.PARKED, OFF)
@@ -168,7 +168,7 @@ def test_drives_confirm_a_second_switch_off_again(watched):
 
 @pytest.mark.parametrize("leg", [0, 5])
 @pytest.mark.parametrize("state", [READY, OFF])
-def test_old_feedback_does_not_confirm_the_brake_of_a_held_platform(watched, leg, state):
+def test_feedback_older_than_the_command_does_not_confirm_the_brakes_of_a_held_platform(watched, leg, state):
     drives = but(leg, state, READY)
     watched.look(Mode.HELD, drives, silent={leg: 3})
     for age in (4, 5, 6, 4):  # the last one: in the tick in which it was held
@@ -176,11 +176,11 @@ def test_old_feedback_does_not_confirm_the_brake_of_a_held_platform(watched, leg
         assert text.endswith(f"; not confirmed by drive {leg}")
     assert "not confirmed" not in watched.look(Mode.HELD, drives, silent={leg: 4})
     text = watched.look(Mode.HELD, but(leg, RUN, READY))
-    assert text.endswith(f"; not confirmed by drive {leg}"), "its brake is open"
+    assert text.endswith(f"; not confirmed by drive {leg}"), "a drive with open brake must be listed"
 
 
 @pytest.mark.parametrize("leg", [0, 5])
-def test_old_feedback_does_not_confirm_a_switch_off(watched, leg):
+def test_feedback_older_than_the_command_does_not_confirm_a_switch_off(watched, leg):
     watched.look(Mode.FAULT, OFF, silent={leg: 2})
     for age in (3, 4, 5, 4):  # the last one: in the tick in which it was told
         text = watched.look(Mode.FAULT, OFF, silent={leg: age})
@@ -195,6 +195,4 @@ def test_a_platform_is_reported_as_released_only_on_request(watched, operator):
     assert any("--release" in advice for advice in told(watched.narrator).next)
     text = watched.look(Mode.FAULT, OFF, *operator)
     assert ("released on request" in text) == (operator == (Operator.RELEASE,))
-    assert not any("--release" in advice for advice in told(watched.narrator).next), (
-        "nothing is held any more"
-    )
+    assert not any("--release" in advice for advice in told(watched.narrator).next), "already released"

@@ -140,7 +140,7 @@ def rests_at(sample, end):
     assert not sample.dtwist.any()
 
 
-def test_the_books_trajectory_is_reproduced_at_all_41_states():
+def test_textbook_trajectory_is_reproduced_at_all_41_states():
     trajectory = waypoints("cubic")
     assert len(BOOK["states"]) == 41
     for state in BOOK["states"]:
@@ -165,7 +165,7 @@ def test_twist_and_its_rate_agree_with_derivatives_of_the_pose(kind):
         if min(abs(t - jump) for jump in jumps) < 2 * h:
             continue
         here = trajectory.sample(t)
-        assert all(x.dtype == np.float64 and x.flags.c_contiguous for x in here), "kernels do not look"
+        assert all(x.dtype == np.float64 and x.flags.c_contiguous for x in here), "types of compiled code"
         moved = max(moved, np.abs(here.twist).max())
         v = richardson(lambda s: trajectory.sample(s).p, t, h)
         omega = richardson(turned_from(trajectory, here.R), t, h)
@@ -223,7 +223,7 @@ def test_quintic_segments_have_no_acceleration_at_their_ends_and_cubic_have():
         assert np.abs(cubic.sample(t).dtwist[:3]).max() == pytest.approx(3.0)  # 6 x 0.5 m / (1 s)^2
 
 
-def test_periods_repeat_the_list():
+def test_setting_periods_repeats_the_list_of_way_points():
     once, thrice, endless = waypoints("cubic"), waypoints("cubic", 3), waypoints("cubic", None)
     assert (once.duration_s, thrice.duration_s, endless.duration_s) == (2.0, 6.0, None)
     for t in (0.0, 0.25, 1.0, 1.75):

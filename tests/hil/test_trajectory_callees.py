@@ -53,7 +53,7 @@ def test_the_motion_raises_the_error_of_a_plain_python_path(wrapped):
     assert same(motion.sample(4), MOVE.sample(1.0))
 
 
-def test_a_sample_is_not_changed_by_the_next_one():
+def test_sample_of_a_path_is_not_changed_by_the_next_sample():
     live = LiveTrajectory(np.zeros(6), np.ones((3, 6)), 1e-3)
     for path in (MOVE, HoldTrajectory(HERE, EYE), live):
         first = path.sample(0.5)
@@ -65,7 +65,7 @@ def test_a_sample_is_not_changed_by_the_next_one():
         assert [each.tobytes() for each in first] == before
 
 
-def test_the_record_of_a_motion_follows_every_change_of_its_path():
+def test_function_addresses_recorded_for_a_motion_follow_every_change_of_its_path():
     motion = Motion(T, HERE, EYE, 0.5)
     live = LiveTrajectory(np.zeros(6), np.ones((3, 6)), T)
 

@@ -73,7 +73,7 @@ def seeded_script(seed, every=150, count=30):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_any_set_points_keep_the_limits_of_every_axis(seed):
+def test_live_trajectory_keeps_the_limits_of_every_axis_for_any_set_points(seed):
     limits = np.array([[0.3, 0.2, 0.1, 0.3, 0.5, 0.2], [1, 2, 0.5, 1, 3, 0.7], [10, 30, 4, 20, 25, 9]])
     script = seeded_script(seed)
     words, _ = run(live(limits), script, max(script) + 6500)
@@ -88,7 +88,7 @@ def test_any_set_points_keep_the_limits_of_every_axis(seed):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_lower_speed_is_reached_within_the_limits_in_both_directions(way):
+def test_lower_speed_limit_is_reached_within_the_other_limits_in_both_directions(way):
     trajectory = live()
     trajectory.aim(START + way * np.array([1.0, 0.5, 0.0, 0.0, 0.3, 0.0]))
     samples, share = [], {700: 0.25, 1600: 1.0}
@@ -165,14 +165,14 @@ def test_a_stop_comes_to_rest_within_the_limits_at_its_stated_time(moment, way):
     within_limits(after)
 
 
-def test_a_live_trajectory_brakes_before_a_refused_place_and_stays():
+def test_live_trajectory_brakes_before_a_refused_pose_and_stays():
     trajectory = live()
     words, found = run(
         trajectory, {0: off(0.25, 0, 0, 0, 0, 0)}, 2500, admit=by_address(lambda chi: 7 * (chi[0] > 0.1))
     )
     assert words[:, 0].max() <= 0.1
-    assert words[-1, 0] > 0.1 - 1.1 * V * PERIOD, "as near as one tick of speed"
-    assert [x for x in found if x] == [7], "found once"
+    assert words[-1, 0] > 0.1 - 1.1 * V * PERIOD, "the stop is within one tick of motion from the limit"
+    assert [x for x in found if x] == [7], "the refusal must be reported once"
     within_limits(words)
     assert np.ptp(words[-500:, 0]) < 1e-15
 
@@ -181,7 +181,7 @@ UNLIKE = np.array([[0.3, 0.2, 0.1, 0.3, 0.5, 0.2], [1, 2, 0.5, 1, 3, 0.7], [10, 
 
 
 @pytest.mark.parametrize("moment", [3, 150, 420, 600, 1100])
-def test_the_judged_poses_are_those_of_the_braking_path(moment):
+def test_live_trajectory_checks_the_poses_of_its_braking_path(moment):
     trajectory = live(UNLIKE)
     script = {0: off(0.2, -0.1, 0.1, 0.1, 0, 0.2), 400: off(-0.2, 0.1, 0.1, 0, -0.2, 0.1), 900: START}
     before, _ = run(trajectory, script, moment)
@@ -203,7 +203,7 @@ def test_the_judged_poses_are_those_of_the_braking_path(moment):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_axes_that_stop_one_after_another_stay_in_allowed_places(seed):
+def test_axes_of_a_live_trajectory_that_stop_one_after_another_stay_at_allowed_poses(seed):
     """Allowed region with an inner corner: x or z may be large, but not both.
 
     A judgement of the ends of braking alone would let it 20 mm into the corner. Between the judged instants,
@@ -221,12 +221,12 @@ def test_axes_that_stop_one_after_another_stay_in_allowed_places(seed):
     words, found = run(
         live(limits), script, 500 * len(goals), admit=by_address(lambda chi: int(depth(chi) > 0))
     )
-    assert any(found), "the corner was in the way"
+    assert any(found), "the path must have met the forbidden corner"
     assert max(map(depth, words)) < 2e-3
     assert (np.ptp(words[:, [0, 2]], axis=0) > 0.15).all()
 
 
-def test_skipped_ticks_give_the_same_bits_as_all_ticks():
+def test_live_trajectory_after_skipped_ticks_is_bitwise_equal_to_one_without_skips():
     steady, skipping = live(), live()
     for trajectory in (steady, skipping):
         trajectory.aim(START + 0.1)
@@ -283,7 +283,7 @@ def test_a_halt_comes_to_exact_rest_and_ends_with_a_new_target():
     assert not trajectory.resting
 
 
-def test_the_braking_path_is_judged_from_its_end_to_the_first_refusal():
+def test_braking_path_of_a_live_trajectory_is_checked_from_its_end_to_the_first_refusal():
     trajectory = live()
     trajectory.aim(START)
     at_rest, nothing = recording()
@@ -295,13 +295,13 @@ def test_the_braking_path_is_judged_from_its_end_to_the_first_refusal():
     assert trajectory.advance(300, look) == 3
     x = [chi[0] for chi in judged]
     assert x == sorted(x, reverse=True)
-    assert trajectory.advance(301, look) == 0, "on the way that was good before it is not judged again"
+    assert trajectory.advance(301, look) == 0, "the accepted braking path must not be checked again"
     assert len(judged) == 3
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
 @pytest.mark.parametrize("ticks", [1, 6])
-def test_a_refused_path_is_replaced_by_the_braking_path_of_a_tick_ago(share, ticks):
+def test_refused_live_trajectory_is_replaced_by_the_braking_path_of_the_previous_tick(share, ticks):
     """Only the first of the skipped ticks is refused; after it the path is the one to rest."""
     trajectory, braked = live(), live()
     for each in (trajectory, braked):

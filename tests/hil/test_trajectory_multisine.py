@@ -34,14 +34,14 @@ def spectrum(x):
 
 
 @pytest.mark.parametrize("phases", ["schroeder", "random"])
-def test_lines_are_equal_and_lie_in_the_band_at_multiples_of_1_period(phases):
+def test_multisine_frequencies_have_equal_amplitudes_and_are_harmonics_within_the_band(phases):
     found = spectrum(period(build(lines(phases=phases)))[:, 0])
     at = np.flatnonzero(found > 1e-9)
     assert at.tolist() == [5, 10, 15, 20, 25, 30, 35, 40, 45, 50]  # 0.5 to 5 Hz in steps of 0.5
     np.testing.assert_allclose(found[at], found[at[0]], rtol=1e-9)
 
 
-def test_the_amplitude_is_the_largest_deviation():
+def test_multisine_amplitude_is_its_largest_deviation():
     for phases, seed in (("schroeder", 0), ("random", 0), ("random", 1)):
         x = period(build(lines(phases=phases, seed=seed, count=23)))[:, 0]
         assert 0.05 * 0.99 < np.abs(x).max() <= 0.05
@@ -74,7 +74,7 @@ def test_whole_periods_repeat_and_both_ends_rest_at_the_centre():
         np.testing.assert_allclose(trajectory.sample(t).dtwist, 0, atol=1e-12)
 
 
-def test_no_two_axes_share_a_line():
+def test_multisine_axes_share_no_frequency():
     x, y, z = period(build(lines(), lines("y_m"), lines("z_m", count=6))).T
     found = [set(np.flatnonzero(spectrum(w) > 1e-9)) for w in (x, y, z)]
     assert [len(each) for each in found] == [10, 10, 6]
@@ -99,7 +99,7 @@ def test_an_invalid_multisine_is_refused(axes, more, complaint):
         build(*axes, **more)
 
 
-def test_a_rotation_is_refused_by_its_peak_not_by_its_sum_of_lines():
+def test_rotation_multisine_is_refused_by_its_peak_not_by_the_sum_of_its_amplitudes():
     """200 lines with a peak of 12 deg have 0.7 deg each, 145 deg in all: on three axes more than half a
     turn.
     """

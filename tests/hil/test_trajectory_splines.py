@@ -109,12 +109,12 @@ REST = "0,0,0,1,0,0,0\n"
         (b"\xff\xfe\x00", r": cannot be read as a CSV file"),
     ],
 )
-def test_a_bad_file_is_refused_with_file_and_line(tmp_path, text, complaint):
+def test_invalid_path_file_is_refused_with_file_and_line(tmp_path, text, complaint):
     with pytest.raises(ConfigurationError, match=r"path\.csv" + complaint):
         build(tmp_path, text)
 
 
-def test_columns_are_found_by_name_and_rows_of_commas_are_skipped(tmp_path):
+def test_columns_of_a_path_file_are_found_by_name_and_rows_of_commas_are_skipped(tmp_path):
     plain = build(tmp_path, HEADER + ROWS)
     words = [row.split(",") for row in (HEADER + ROWS).splitlines()]
     text = "\n".join(",".join([*reversed(row), "note"]) for row in words) + "\n,,,,,,,\n,,\n"
@@ -122,7 +122,7 @@ def test_columns_are_found_by_name_and_rows_of_commas_are_skipped(tmp_path):
         np.testing.assert_array_equal(a, b)
 
 
-def test_a_file_is_parsed_once_while_its_content_stays(tmp_path):
+def test_path_file_is_parsed_once_while_its_content_is_unchanged(tmp_path):
     """240,000 rows take seconds, and one command builds its path three times; size and times may stay."""
     path = tmp_path / "path.csv"
     path.write_text(HEADER + ROWS)
@@ -136,7 +136,7 @@ def test_a_file_is_parsed_once_while_its_content_stays(tmp_path):
         t[0] = 1.0
 
 
-def test_rough_rows_are_explained_and_smooth_ones_are_not():
+def test_rough_rows_of_a_sampled_path_are_explained_and_smooth_ones_are_not():
     """Two rows 1 us and 2 mm apart; white noise of 2 um at 1 ms: 6 x 2e-6 / 1e-6 = 12 m/s^2."""
     t: Array = np.linspace(0.0, 3.999, 4000)
     chi = np.zeros((4000, 6))
@@ -153,7 +153,7 @@ def test_rough_rows_are_explained_and_smooth_ones_are_not():
 
 @pytest.mark.parametrize("jitter", [0.0, 0.2], ids=["even", "uneven"])
 @pytest.mark.parametrize("rows_a_period", [3.5, 4.0, 6.0, 10.0, 50.0, 500.0])
-def test_clean_sines_are_not_noise_and_white_noise_is_found(rows_a_period, jitter):
+def test_noise_of_a_sampled_path_is_found_for_white_noise_but_not_for_clean_sines(rows_a_period, jitter):
     """A sine of 10 mm at 0.1 Hz, in rows of some ms to some s; white noise of 1 mm, 0.1 of the amplitude."""
     rng, h = np.random.default_rng(3), 10.0 / rows_a_period
     t = h * (np.arange(600) + rng.uniform(-jitter, jitter, 600))
@@ -164,13 +164,13 @@ def test_clean_sines_are_not_noise_and_white_noise_is_found(rows_a_period, jitte
     assert (rows_a_period < 10) or (found and 0.7e-3 < float(found[1]) < 1.3e-3), warning
 
 
-def test_all_invalid_lines_are_listed_by_line_number(tmp_path):
+def test_all_invalid_lines_of_a_path_file_are_listed_by_line_number(tmp_path):
     text = HEADER + "\n0,0,0,x,0,0,0\n\n1,0,0,1,0,0,0\n1,0,0,1,0,0,0\n2,0\r\n3,0,0,1,0,0,0\n"
     with pytest.raises(ConfigurationError) as caught:
         build(tmp_path, text)
     assert [p.split("path.csv:")[1].split(":")[0] for p in caught.value.problems] == ["3", "6", "7"]
 
 
-def test_a_missing_file_is_refused(tmp_path):
+def test_missing_path_file_is_refused(tmp_path):
     with pytest.raises(ConfigurationError, match=r"path.csv: cannot be read"):
         build(tmp_path)

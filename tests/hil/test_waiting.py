@@ -30,7 +30,7 @@ class Late(Bench):
         return waiting_text(self.cycle)
 
 
-def test_late_drives_are_listed_until_all_six_legs_report_in_one_tick():
+def test_drives_that_report_late_are_listed_until_all_six_legs_report_in_one_tick():
     bench = Late()
     for _ in range(7):
         bench.step_late(1)
@@ -47,7 +47,7 @@ def test_late_drives_are_listed_until_all_six_legs_report_in_one_tick():
     assert bench.cycle.mode is Mode.IDLE
 
 
-def test_lengths_without_a_pose_are_reported_with_platform_home():
+def test_leg_lengths_that_fit_no_pose_are_reported_with_platform_home():
     bench = Late()
     bench.drives.length = bench.drives.length + 0.6 * (-1.0) ** bench.drives.length.argsort()
     for _ in range(500):

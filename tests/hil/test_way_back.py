@@ -26,7 +26,7 @@ def way_of(metres, seconds=4.0):
     ("way_m", "poses"),
     [(1e-3, 17), (0.075, 17), (0.0831, 18), (0.1, 21), (0.4999, 101), (40.0, 1001)],
 )
-def test_a_path_is_judged_every_5_mm_with_17_to_1001_poses(way_m, poses):
+def test_straight_path_is_checked_every_5_mm_at_17_to_1001_poses_before_it_is_followed(way_m, poses):
     seen: list[float] = []
     inspection = Inspection(PLATFORM, lambda s: seen.append(s.p[0]) or 0, "park", way_of(way_m))  # type: ignore[func-returns-value]
     ticks = 1
@@ -39,10 +39,10 @@ def test_a_path_is_judged_every_5_mm_with_17_to_1001_poses(way_m, poses):
     if way_m < 1.0:
         assert np.diff(seen).max() < 1.875 * APART_M * 1.01, "evenly in time, fastest in the middle"
     assert inspection.step()
-    assert len(seen) == poses, "none is judged twice"
+    assert len(seen) == poses, "no pose may be checked twice"
 
 
-def test_joints_move_little_between_judged_poses_of_a_rotating_path():
+def test_joints_move_little_between_checked_poses_of_a_rotating_path():
     """One joint is closer to the origin of the platform than the others, one is farther out."""
     joints = PLATFORM.platform_joints * np.array([[0.2], *[[1.0]] * 4, [1.5]])
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -61,7 +61,7 @@ def test_joints_move_little_between_judged_poses_of_a_rotating_path():
 
 
 @pytest.mark.parametrize(("bad", "at"), [(0, 0), (1, 6), (8, 50), (16, 100)])
-def test_the_first_refused_pose_ends_the_judgement_with_its_share(bad, at):
+def test_check_of_a_straight_path_ends_at_the_first_refused_pose_and_reports_its_share(bad, at):
     seen: list[int] = []
 
     def judge(_sample):
@@ -106,14 +106,14 @@ def parked(judged):
     return operating, motion, moves
 
 
-def test_a_refused_path_leaves_the_platform_on_hold_with_a_reason():
+def test_refused_path_to_the_first_pose_leaves_the_platform_on_hold_with_a_reason():
     operating, motion, moves = parked(refusing)
     assert moves
     assert all(move is None for move in moves)
     assert (operating.go, operating.parks, motion.resting) == (False, False, True)
     assert operating.trouble.startswith("park: refused, since ")
     operating.step([Order(Operator.KEY), Order(Operator.SPEED, (0.5,))], 1501, Mode.TRACKING, motion)
-    assert operating.trouble, "neither leads elsewhere"
+    assert operating.trouble, "neither the key nor a new speed may clear the message"
     operating.step([START], 1502, Mode.TRACKING, motion)
     assert operating.go
     assert not operating.trouble
@@ -126,7 +126,7 @@ def test_an_allowed_path_is_followed_from_its_start():
     np.testing.assert_allclose(moves[-1].sample(moves[-1].duration_s).p, HERE, atol=1e-15)
 
 
-def test_the_path_is_judged_again_after_an_order_or_a_new_motion():
+def test_path_to_the_first_pose_is_checked_again_after_a_command_or_a_new_motion():
     judged: list[Any] = []
 
     def noted(name, move):

@@ -72,7 +72,7 @@ def test_a_client_reads_every_tick_although_others_never_read(tmp_path, port):
         run(recording)
         begun = time.monotonic()
         summary = recording.close()
-        assert time.monotonic() - begun < 4.0, "the recorder leaves by itself"
+        assert time.monotonic() - begun < 4.0, "the recorder must end by itself"
         reader.join(10.0)
     opened: list[Any] = [client, *others, mute, noise]
     for each in opened:
@@ -98,7 +98,7 @@ def test_an_occupied_port_is_refused_before_the_log_is_created(tmp_path, port):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_missing_extra_is_reported_with_the_install_command(monkeypatch):
+def test_missing_websocket_package_is_reported_with_the_install_command(monkeypatch):
     monkeypatch.setitem(sys.modules, "foxglove", None)
     channels = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None).channels
     with pytest.raises(LogError, match=r'pip install "hexapod-hil\[viewers\]"'):

@@ -96,7 +96,7 @@ def cases():
 
 
 @pytest.mark.parametrize(("line", "name", "bad"), cases())
-def test_bad_file_is_refused_and_named(refused, tmp_path, line, name, bad):
+def test_commands_refuse_a_missing_or_invalid_input_file_with_its_name(refused, tmp_path, line, name, bad):
     content = BAD[bad]
     if callable(content):
         content(tmp_path / name)
@@ -164,7 +164,7 @@ FMUS = {
 
 
 @pytest.mark.parametrize(("changes", "without", "words"), FMUS.values(), ids=FMUS)
-def test_unsuitable_fmu_is_refused(refused, robot, changes, without, words):
+def test_sim_refuses_an_fmu_that_does_not_fit_the_configuration(refused, robot, changes, without, words):
     assert words in refused("sim", robot(*changes, without=without))
 
 
@@ -174,7 +174,7 @@ def test_file_that_is_not_an_fmu_is_refused(refused, robot, tmp_path):
     assert "robot.fmu" in refused("sim", config)
 
 
-def test_plant_that_starts_within_1_mm_of_the_platform_is_accepted(robot, tmp_path, monkeypatch):
+def test_sim_accepts_a_plant_that_starts_1_mm_from_the_configured_pose(robot, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = robot(("[0, 0, 1]", "[0, 0, 1.001]"))
     result = CliRunner().invoke(main, ["sim", str(config), "--duration", "0.2"])
@@ -185,7 +185,7 @@ def test_plant_that_starts_within_1_mm_of_the_platform_is_accepted(robot, tmp_pa
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
-def test_cut_log_is_refused_and_the_message_shows_how_to_salvage_it(refused, log, tmp_path, share):
+def test_truncated_log_is_refused_and_the_message_shows_how_to_salvage_it(refused, log, tmp_path, share):
     data = log.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(share * len(data))])
     said = refused("replay", "cut.mcap")
@@ -193,7 +193,7 @@ def test_cut_log_is_refused_and_the_message_shows_how_to_salvage_it(refused, log
     assert "hil replay --salvage" in said
 
 
-def test_salvage_writes_a_cut_log_to_a_new_file_only(refused, log, tmp_path):
+def test_salvage_writes_a_truncated_log_to_a_new_file_only(refused, log, tmp_path):
     data = log.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     (tmp_path / "there.mcap").write_text("precious")
@@ -203,7 +203,7 @@ def test_salvage_writes_a_cut_log_to_a_new_file_only(refused, log, tmp_path):
     assert (tmp_path / "cut.mcap").stat().st_size == len(data) // 2
 
 
-def test_log_with_damaged_ticks_is_refused_with_the_place(refused, log, tmp_path):
+def test_replay_of_a_log_with_damaged_ticks_is_refused_with_the_byte_offset(refused, log, tmp_path):
     data = bytearray(log.read_bytes())
     with log.open("rb") as file:
         summary = make_reader(file).get_summary()

@@ -32,7 +32,7 @@ def loaded(*changes):
     return loads(edited(*changes), "my.yaml")
 
 
-def test_figures_of_the_book_path_agree_with_the_book():
+def test_check_prints_lengths_and_forces_of_the_textbook_path_as_published():
     figures = inspect(load("virtual")).figures
     home = BOOK["home_static"]
     assert figures["home"]["leg_lengths_m"] == pytest.approx(home["length"], abs=1e-9)
@@ -60,7 +60,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("old", "new", "message", "column", "limit"), BROKEN)
-def test_first_violation_of_a_limit_is_at_the_book_instant(old, new, message, column, limit):
+def test_check_reports_when_the_textbook_path_first_exceeds_a_limit(old, new, message, column, limit):
     with pytest.raises(ConfigurationError) as caught:
         inspect(loaded((old, new)))
     (problem,) = [p for p in caught.value.problems if message in p]
@@ -98,7 +98,7 @@ def test_path_through_a_singularity_is_refused_at_the_first_instant():
     assert expected <= t <= expected + 1.1e-3
 
 
-def test_path_too_close_to_a_singularity_is_refused_before_it():
+def test_path_is_refused_where_the_condition_of_J_exceeds_its_limit():
     with pytest.raises(ConfigurationError, match=r"condition of J above limits\.condition 50: 50\.\d"):
         inspect(spinning())
 
@@ -112,7 +112,7 @@ SWINGING = """  points:
 limits:"""
 
 
-def test_force_step_between_two_passes_of_a_path_is_found():
+def test_force_step_between_two_periods_of_a_repeated_path_is_found():
     """Acceleration 6 D/h^2 down at the end, up at the next start: twice the step from rest."""
     first, last = VIRTUAL.index("  points:"), VIRTUAL.index("limits:  ")
     text = VIRTUAL[:first] + SWINGING + VIRTUAL[last + len("limits:") :]
@@ -133,7 +133,7 @@ def test_force_step_between_two_passes_of_a_path_is_found():
         inspect(loads(limited, "my.yaml"))
 
 
-def test_csv_path_in_mm_is_reported_as_the_only_problem(tmp_path):
+def test_csv_path_in_mm_is_reported_as_one_problem_with_advice_to_divide_by_1000(tmp_path):
     rows = [f"{t},0,0,{1000 + 10 * t},0,0,0" for t in (0, 1, 2)]
     (tmp_path / "path.csv").write_text("\n".join(["t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", *rows]))
     sampled = {"reference": {"type": "sampled", "path": "path.csv"}}
@@ -173,7 +173,7 @@ def with_law(law):
         quick=1,
     ),
 )
-def test_boundary_layer_has_the_phase_margin_of_its_linear_law(law, margin_deg):
+def test_phase_margin_of_a_robust_law_is_that_of_the_linear_law_in_its_boundary_layer(law, margin_deg):
     report = with_law(law)
     assert report.figures["controller"]["phase_margin_deg"] == pytest.approx(margin_deg, abs=0.06)
     assert any("phase margin" in w for w in report.warnings) == (margin_deg < 30)
@@ -184,7 +184,7 @@ def closing(seconds):
 
 
 @pytest.mark.parametrize(("closing_s", "leaves"), [(0.125, False), (0.135, True)])
-def test_warning_if_a_leg_reaches_its_hard_end_after_silence(closing_s, leaves):
+def test_check_warns_if_a_leg_may_reach_its_hard_end_before_brakes_close_on_lost_commands(closing_s, leaves):
     """A leg of the falling platform accelerates by slightly more than 9.81 x 1 / 1.5925 = 6.2 m/s^2."""
     T, a = 0.01 + closing_s, 6.4
     q, dq = (np.array([state[key] for state in BOOK["states"]]) for key in ("length", "rate"))
@@ -247,7 +247,7 @@ def stopped(c, model, trajectory, at_s, up=False):
 
 
 @pytest.mark.parametrize("up", [False, True])
-def test_hold_and_start_on_the_path_stay_within_the_printed_bounds(virtual, up):
+def test_hold_and_start_on_a_path_stay_within_the_printed_force_and_acceleration_bounds(virtual, up):
     c, model, trajectory, w, said = virtual.c, virtual.model, virtual.trajectory, virtual.walk, virtual.slowed
     fastest = float(w.t[np.abs(w.dq).max(axis=1).argmax()])
     found = [stopped(c, model, trajectory, t, up) for t in (fastest - 0.25, fastest - 0.1, 3.0, 7.3, 12.1)]
@@ -275,7 +275,7 @@ def mixed(**changes):
     return loads(with_changes(load("desktop").text, {"drives": {"transmission": MIXED} | changes}), "my.yaml")
 
 
-def test_transmission_figures_of_each_leg_agree_with_a_calculation():
+def test_turns_speed_and_torque_of_each_transmission_agree_with_a_hand_calculation():
     """q = 0.325 m + s l n / N, F = s 2 pi N tau / l; stroke 0.25 to 0.40 m, 0.25 m/s, 300 N rated."""
     report = inspect(mixed())
     figures, home = report.figures["transmission"], report.figures["home"]["static_forces_N"]
@@ -294,7 +294,7 @@ def test_transmission_figures_of_each_leg_agree_with_a_calculation():
     assert second.split()[1:6] == ["-80", "+0.9375", "to", "-0.9375", "78.54"]
 
 
-def test_excessive_torque_is_refused_with_the_leg_that_needs_most():
+def test_torque_above_the_motor_limit_is_refused_with_the_leg_that_needs_most():
     """Only leg 5 loses 30 %: 300 N x 0.1 m / (2 pi x 0.7) = 6.82 N m; the DM4310 can send 10."""
     with pytest.raises(
         ConfigurationError, match=r"450 N need 10\.23 N m of the motor of leg 5 \(62\.83 N per N m"

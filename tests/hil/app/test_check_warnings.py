@@ -129,7 +129,7 @@ ELSEWHERE = {
 
 
 @pytest.mark.parametrize(("code", "name", "changes"), EXAMPLES, ids=[code for code, *_ in EXAMPLES])
-def test_dangerous_setting_causes_a_warning_beyond_its_threshold(code, name, changes):
+def test_check_warns_about_a_dangerous_setting_only_beyond_its_threshold(code, name, changes):
     harmless, dangerous = changes
     if code == "drives.protocol":
         assert code not in warned("virtual", {})
@@ -158,7 +158,7 @@ def test_no_shipped_configuration_has_a_dangerous_limit(name):
     assert set(inspect(load(name)).codes) <= allowed
 
 
-def test_layout_ideal_causes_no_hardware_warning():
+def test_bus_layout_ideal_causes_no_warning_about_hardware():
     assert "reactions.silence" not in warned("ideal", {"reactions": {"silence": "zero"}})
 
 
@@ -194,7 +194,7 @@ def virtual():
 
 
 @pytest.mark.parametrize("name", BORDERS)
-def test_limit_far_above_its_need_causes_a_warning_with_a_proposal(virtual, name):
+def test_check_warns_about_a_limit_far_above_the_needed_value_and_proposes_a_lower_one(virtual, name):
     tight, far, needed = BORDERS[name]
     assert loose(virtual, **{name: tight}) == []
     (line,) = loose(virtual, **{name: far})
@@ -210,7 +210,7 @@ def test_limit_far_above_its_need_causes_a_warning_with_a_proposal(virtual, name
 
 
 @pytest.mark.parametrize("name", ["acceleration_m_s2", "force_N", "force_step_N"])
-def test_limit_that_a_speed_change_violates_causes_a_warning(virtual, name):
+def test_check_warns_about_a_limit_that_a_change_of_the_path_speed_would_exceed(virtual, name):
     slowed = virtual.slowed
     own, most = {
         "acceleration_m_s2": (float(abs(virtual.walk.ddq).max()), slowed.acceleration_m_s2),

@@ -70,7 +70,7 @@ def test_help_lists_commands_exit_codes_and_shipped_configurations():
     assert sorted(set(names) - {"the", "default"}) == sorted(shipped())
 
 
-def test_help_imports_nothing_heavy():
+def test_help_of_a_command_imports_no_numerical_or_bus_library():
     """Numpy, pydantic, numba and the bus take half a second to import; help works without them."""
     code = (
         "import sys; from hil.cli import main; main(['run', '--help'], standalone_mode=False); "
@@ -91,7 +91,7 @@ def simulated(tmp_path_factory):
     return result, folder
 
 
-def test_simulation_that_parks_exits_with_0(simulated):
+def test_simulation_that_ends_parked_exits_with_0(simulated):
     result, folder = simulated
     assert result.exit_code == 0, result.output
     summary = json.loads((folder / "run.json").read_text())
@@ -141,7 +141,7 @@ def test_replay_exits_with_0_and_does_not_change_the_log(simulated, tmp_path):
     assert log.read_bytes() == before
 
 
-def test_latched_fault_exits_with_1_and_is_in_the_summary(tmp_path):
+def test_sim_that_ends_in_a_fault_exits_with_1_and_lists_the_fault_in_its_summary(tmp_path):
     tight = edited(
         ("following_error_m: 0.01", "following_error_m: 1e-6"),
         ("following_error_s: 0.01 ", "following_error_s: 0 "),
@@ -219,7 +219,7 @@ def test_check_reports_all_problems_and_exits_with_2(tmp_path):
         assert problem in result.stderr
 
 
-def test_fmu_build_copies_both_versions_into_a_new_folder(tmp_path):
+def test_fmu_build_writes_an_fmi_2_and_an_fmi_3_fmu_into_a_new_folder(tmp_path):
     result = hil("fmu", "build", "--output", tmp_path / "new" / "fmus", "--json", tmp_path / "fmu.json")
     assert result.exit_code == 0, result.output
     summary = json.loads((tmp_path / "fmu.json").read_text())

@@ -65,12 +65,12 @@ def test_every_shipped_configuration_passes_hil_check(name):
     assert [w for w in report.warnings if "SCHED_FIFO" not in w] == []
 
 
-def test_committed_schema_is_current():
+def test_committed_json_schema_equals_the_generated_one():
     """To update: python -c 'from hil.app.configuration import schema; print(schema.text(), end="")' > configs/hil.schema.json."""
     assert (ROOT / "configs/hil.schema.json").read_text() == schema.text()
 
 
-def test_schema_refuses_an_unknown_key():
+def test_json_schema_refuses_an_unknown_key():
     validator = jsonschema.Draft202012Validator(schema.schema())
     data = yaml.load(load("virtual").text, Floats)
     data["loop"]["rate"] = 1000
@@ -78,7 +78,7 @@ def test_schema_refuses_an_unknown_key():
 
 
 @pytest.mark.parametrize("name", ["virtual", "ideal", "vcan50"])
-def test_book_platform_has_the_figures_of_the_book(name):
+def test_shipped_textbook_platform_has_the_published_joints_and_masses(name):
     d = platform_dict(load(name).platform)
     book = BOOK["geometry"]
     for key in ("base_joints", "platform_joints", "gravity"):
@@ -93,7 +93,7 @@ def _tuples(value):
 
 
 @pytest.mark.parametrize("name", ["virtual", "ideal"])
-def test_book_path_agrees_with_the_book(name):
+def test_shipped_textbook_path_has_the_published_way_points(name):
     reference: Any = load(name).reference
     assert reference.interpolation == "cubic"
     for point, knot in zip(reference.points, BOOK["trajectory"]["knots"], strict=True):
@@ -120,7 +120,7 @@ def configuration(name, *changes):
         pytest.param("lab", PDO, 2.3, marks=pytest.mark.long),
     ],
 )
-def test_the_robot_tracks_parks_and_replays_exactly(name, changes, peak_mm, tmp_path):
+def test_run_of_a_shipped_configuration_tracks_parks_and_replays_exactly(name, changes, peak_mm, tmp_path):
     found = simulate(configuration(name, *changes), log=tmp_path / "run.mcap", duration_s=4.0)
     assert found["success"], found
     assert found["final_mode"] == "PARKED"

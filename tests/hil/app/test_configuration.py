@@ -65,13 +65,13 @@ ONE_PROBLEM = [
 @pytest.mark.parametrize(
     ("old", "new", "where", "message"), ONE_PROBLEM, ids=[row[3][:60] for row in ONE_PROBLEM]
 )
-def test_each_mistake_is_one_problem_at_its_place(old, new, where, message):
+def test_each_mistake_in_the_yaml_is_reported_once_with_line_and_column(old, new, where, message):
     text = edited((old, new))
     (problem,) = problems(text)
     assert problem.startswith(f"my.yaml:{place(text, where)}: {message}")
 
 
-def test_all_problems_are_reported_at_once_in_file_order():
+def test_all_problems_of_a_configuration_are_reported_at_once_in_file_order():
     text = edited(
         ("    mass_kg: 1150", "    mass_kg: heavy"),
         ("channel: hil0", "chanel: hil0"),
@@ -92,7 +92,7 @@ def test_all_problems_are_reported_at_once_in_file_order():
     ]
 
 
-def test_missing_section_and_missing_key_are_reported():
+def test_missing_section_and_missing_key_of_a_configuration_are_reported():
     start, end = VIRTUAL.index("reference:"), VIRTUAL.index("limits:")
     text = edited(("  force_window_N: 12000 ", "  # "), base=VIRTUAL[:start] + VIRTUAL[end:])
     found = problems(text)
@@ -128,7 +128,7 @@ def test_text_that_is_not_plain_yaml_is_refused_with_its_place(text, message):
     assert any(message in p for p in problems(text))
 
 
-def test_scalars_are_parsed_as_in_yaml_1_2():
+def test_scalars_of_a_configuration_are_parsed_as_in_yaml_1_2():
     text = "[1e3, 1E-3, 010, 0o10, 0xff, no, 12:30, 1_000, ~, true, '5', -.5, 1., 1e400]"
     value: Any = (parse(f"a: {text}").value or {})["a"]
     expected = [1000, 0.001, 10, 8, 255, "no", "12:30", "1_000", None, True, "5", -0.5, 1.0, float("inf")]
@@ -149,7 +149,7 @@ def test_error_for_a_missing_file_lists_the_shipped_configurations(tmp_path):
         load(latin)
 
 
-def test_shipped_name_loads_in_any_folder_and_files_take_precedence(tmp_path, monkeypatch):
+def test_shipped_configuration_loads_by_name_unless_a_file_of_that_name_exists(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert load("virtual").name == "virtual"
     assert {"virtual", "ideal", "socketcan", "lab"} <= set(shipped())
@@ -179,7 +179,7 @@ LOCALCAN = "interface: localcan "
         ("socketcan", None, "plant", "this configuration is for real drives"),
     ],
 )
-def test_command_refuses_a_configuration_that_it_cannot_use(name, new, command, reason):
+def test_configuration_without_what_a_command_needs_is_refused_with_the_reason(name, new, command, reason):
     c = load(name) if new is None else loads(edited((LOCALCAN, new)), "my.yaml")
     c.require("run" if name == "socketcan" else "sim")
     with pytest.raises(ConfigurationError, match=reason):
@@ -192,7 +192,7 @@ def step_us(text):
 
 
 @pytest.mark.parametrize("rate_Hz", [800, 700, 999])
-def test_default_plant_step_follows_the_rate(rate_Hz):
+def test_default_plant_step_divides_the_loop_period_into_at_least_ten_steps(rate_Hz):
     text = edited(("    internal_step_us: 100\n", ""), ("rate_Hz: 1000", f"rate_Hz: {rate_Hz}"))
     steps = 1e6 / rate_Hz / step_us(text)
     assert steps == pytest.approx(round(steps), rel=1e-12)

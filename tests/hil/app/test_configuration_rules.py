@@ -148,7 +148,7 @@ RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("key", "row"), RULES.items(), ids=list(RULES))
-def test_first_invalid_value_is_refused_quickly_with_its_place(key, row):
+def test_first_value_beyond_each_rule_is_refused_within_2_s_with_its_file_position(key, row):
     name, fine, refused, words = row
     changed(name, fine)
     begun = time.process_time()
@@ -161,14 +161,14 @@ def test_first_invalid_value_is_refused_quickly_with_its_place(key, row):
 
 
 @pytest.mark.parametrize(("heartbeat_ms", "frames"), [(100, 0), (6.1, 0), (6, 1), (3.1, 1)])
-def test_bus_budget_includes_the_heartbeats_of_every_tick(heartbeat_ms, frames):
+def test_bus_load_per_tick_includes_all_heartbeat_frames(heartbeat_ms, frames):
     """A status frame is classic, 5 bytes: 44 + 40 + 3 + floor(73 / 4) = 105 bits, 105 us of 1 ms."""
     c = changed("virtual", {"drives": {"heartbeat_ms": heartbeat_ms}})
     (found,) = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     assert found.load_percent == pytest.approx(56.82 + 10.5 * frames, abs=1e-9)
 
 
-def test_heartbeats_beyond_the_budget_are_refused_with_the_arithmetic():
+def test_heartbeats_that_overload_the_bus_are_refused_with_the_calculation():
     with pytest.raises(ConfigurationError, match=r"6 x classic  5 byte: 105 bit = 105\.0 us each, 630\.0 us"):
         changed("virtual", {"drives": {"heartbeat_ms": 1}})
 
@@ -179,7 +179,7 @@ def test_brake_closing_time_defaults_to_the_release_time(closes, expected):
 
 
 @pytest.mark.parametrize("reaction", ["ss1", "sbc", "sto"])
-def test_each_fault_has_exactly_one_reaction(reaction):
+def test_each_reaction_is_caused_by_exactly_the_expected_faults(reaction):
     settings = ReactionSettings(stroke="ss1", speed="ss1", drive="sto", stale="sto", law="sto")
     expected = {
         "ss1": {"STROKE", "SPEED", "CERTIFICATE", "REFUSED_FRAMES", "SET_UP"},
@@ -194,12 +194,12 @@ def test_each_fault_has_exactly_one_reaction(reaction):
 
 
 @pytest.mark.parametrize(("word", "number"), [("1", 1.0), ("-.5", -0.5), (" 3e-2 ", 0.03), ("1E3", 1000.0)])
-def test_plain_decimal_text_is_a_number(word, number):
+def test_plain_decimal_text_is_parsed_as_a_number(word, number):
     assert plain_number(word) == number
 
 
 @pytest.mark.parametrize("word", ["", ".", "1_0", "nan", "inf", "0x10", "٣", "1 2", "1e", "--1", "1,5"])
-def test_text_with_other_characters_is_not_a_number(word):
+def test_text_with_characters_outside_plain_decimals_is_not_parsed_as_a_number(word):
     assert plain_number(word) != plain_number(word)
 
 
@@ -227,7 +227,7 @@ PLACES = [(name, path) for name, text in TEXTS.items() for path in numbers(yaml.
 
 
 @pytest.mark.parametrize("number", broad([-1.1e30, 2 * 10**30, 10**300], quick=1), ids="{:.2g}".format)
-def test_absurd_number_is_refused_in_every_key(number):
+def test_absurdly_large_number_is_refused_in_every_numeric_key(number):
     assert len(PLACES) > 50
     for name, path in PLACES:
         with pytest.raises(ConfigurationError) as refused:
@@ -235,6 +235,6 @@ def test_absurd_number_is_refused_in_every_key(number):
         assert f": {path_text(path)}: " in str(refused.value), (name, path)
 
 
-def test_limit_of_1e30_is_accepted_as_no_limit():
+def test_condition_limit_of_1e30_is_accepted():
     text = with_number(load("virtual").text, ("limits", "condition"), 1e30)
     assert loads(text, "a.yaml", CONFIGS).limits.condition == 1e30

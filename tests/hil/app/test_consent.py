@@ -40,7 +40,7 @@ def read_until(terminal: int, word: bytes) -> bytes:
     return heard
 
 
-def test_enter_counts_only_after_the_drives_are_ready():
+def test_enter_on_the_terminal_arms_only_if_pressed_after_the_drives_are_ready():
     pid, terminal = pty.fork()
     if pid == 0:
         os.chdir(ROOT)
@@ -86,7 +86,7 @@ with open(sys.argv[1], "w") as file:
 
 
 @pytest.mark.parametrize("asked", broad(["asked", "at once"], quick=1))
-def test_closed_terminal_causes_one_controlled_stop(tmp_path, asked):
+def test_closing_the_terminal_causes_one_controlled_stop(tmp_path, asked):
     """Reading from it fails or returns no bytes; SIGHUP may follow."""
     said = tmp_path / "said"
     pid, terminal = pty.fork()
@@ -100,7 +100,7 @@ def test_closed_terminal_causes_one_controlled_stop(tmp_path, asked):
     assert said.read_text() == "1 [False, False, False] ['STOP']\n"
 
 
-def test_without_a_terminal_arm_is_required(tmp_path):
+def test_run_without_a_terminal_requires_the_option_arm(tmp_path):
     with (tmp_path / "input").open("w+") as file, pytest.raises(RunError, match="--arm"):
         EnterKey(lambda: None, file.fileno())
 

@@ -64,7 +64,7 @@ def with_states(folder, A):
     "turned", [np.eye(3), np.array([[2, 1, 0], [-1, 3, 1], [0.5, 0, 1]])], ids=["", "turned"]
 )
 @pytest.mark.parametrize("chain", [1.0, 1e-3, 0.0])
-def test_controller_integrates_twice_in_parallel_but_not_in_series(chain, turned, tmp_path):
+def test_controller_file_is_refused_with_integrators_in_series_but_not_in_parallel(chain, turned, tmp_path):
     """Powers of [[1, c], [0, 1]] grow without bound, though both poles are 1; those of [[1, 0], [0, 1]] do not."""
     A = turned @ np.array([[1, chain, 0], [0, 1, 0], [0, 0, 0.5]]) @ np.linalg.inv(turned)
     if chain:
@@ -75,7 +75,7 @@ def test_controller_integrates_twice_in_parallel_but_not_in_series(chain, turned
 
 
 @pytest.mark.parametrize("old", WRONG)
-def test_mistake_in_the_file_is_reported_with_line_and_column(old, tmp_path):
+def test_mistake_in_a_controller_file_is_reported_with_line_and_column(old, tmp_path):
     new, message = WRONG[old]
     path = changed(tmp_path, old, new)
     with pytest.raises(ConfigurationError, match=message):
@@ -83,13 +83,13 @@ def test_mistake_in_the_file_is_reported_with_line_and_column(old, tmp_path):
     assert "controller.controller_file: " in refusal(path.name, tmp_path)
 
 
-def test_controller_for_another_rate_is_refused():
+def test_controller_file_for_another_loop_rate_is_refused():
     message = refusal(GOOD, Path(), rate_Hz=500)
     assert "controller.controller_file: designed for 1000 Hz, but the loop runs at 500 Hz" in message
     assert "design the controller again" in message
 
 
-def test_delay_compensation_is_refused_with_the_reason():
+def test_delay_compensation_with_a_state_space_law_is_refused_with_the_reason():
     message = refusal(GOOD, Path(), more="  delay_compensation: {bus_ms: 1}\n")
     assert "an axis that includes the delay" in message
 

@@ -73,7 +73,7 @@ def ctl(*words):
     return CliRunner().invoke(main, ["ctl", "virtual", *words])
 
 
-def test_accepted_command_succeeds_and_refused_command_fails(controller):
+def test_ctl_exits_with_0_for_an_accepted_and_with_1_for_a_refused_command(controller):
     assert ctl("speed", "40").exit_code == 0
     assert controller.heard == [Order(Operator.SPEED, (0.4,))]
     controller.why = "not now"
@@ -85,7 +85,7 @@ def test_accepted_command_succeeds_and_refused_command_fails(controller):
     assert "speed: -5 %; allowed: 0 .. 100" in result.stderr
 
 
-def test_status_is_printed_as_lines(controller):
+def test_ctl_status_prints_mode_position_and_faults_one_per_line(controller):
     result = ctl("status")
     assert result.exit_code == 0
     lines = dict(line.split("  ", 1) for line in result.output.splitlines())
@@ -96,13 +96,13 @@ def test_status_is_printed_as_lines(controller):
     assert lines["faults"] == "none"
 
 
-def test_key_is_held_for_the_requested_time(controller):
+def test_ctl_key_repeats_the_key_command_for_the_requested_time(controller):
     assert ctl("key", "--for", "0.5").exit_code == 0
     assert set(controller.heard) == {Order(Operator.KEY)}
     assert 5 <= len(controller.heard) <= 26
 
 
-def test_jog_repeats_until_released_or_refused(controller):
+def test_ctl_jog_repeats_the_jog_command_until_its_duration_ends_or_it_is_refused(controller):
     assert ctl("jog", "leg3", "-0.5", "--for", "0.3").exit_code == 0
     *said, last = controller.heard
     assert set(said) == {Order(Operator.JOG, (9.0, -0.5))}
@@ -116,7 +116,7 @@ def test_jog_repeats_until_released_or_refused(controller):
     assert controller.heard == [Order(Operator.JOG, (0.0, 1.0))]
 
 
-def test_only_key_and_jog_accept_a_duration(controller):
+def test_ctl_commands_other_than_key_and_jog_refuse_a_duration(controller):
     assert ctl("hold", "--for", "1").exit_code == 2
     assert not controller.heard
 
@@ -162,7 +162,7 @@ def changed(tmp_path, old, new):
     return str(file)
 
 
-def test_invalid_value_in_the_file_does_not_delay_an_emergency_stop(controller, tmp_path):
+def test_ctl_estop_is_sent_although_the_configuration_has_an_invalid_value(controller, tmp_path):
     file = changed(tmp_path, "mass_kg: 1150", "mass_kg: heavy")
     with pytest.raises(ConfigurationError, match=r"platform\.platform\.mass_kg"):
         load(file)
@@ -178,14 +178,14 @@ def test_invalid_value_in_the_file_does_not_delay_an_emergency_stop(controller, 
         ("\nbus:", "\nbuss:", "bus: missing"),
     ],
 )
-def test_file_without_a_channel_is_validated_completely(controller, tmp_path, old, new, complaint):
+def test_ctl_refuses_an_invalid_configuration_without_bus_channel(controller, tmp_path, old, new, complaint):
     result = CliRunner().invoke(main, ["ctl", changed(tmp_path, old, new), "estop"])
     assert result.exit_code == 2
     assert complaint in result.stderr
     assert not controller.heard
 
 
-def test_commands_go_to_the_channel_of_the_file(controller, tmp_path):
+def test_ctl_sends_to_the_bus_channel_of_the_configuration(controller, tmp_path):
     result = CliRunner().invoke(main, ["ctl", changed(tmp_path, "channel: hil0", "channel: other"), "estop"])
     assert result.exit_code == 2
     assert "no controller runs on bus localcan:other" in result.stderr
@@ -195,7 +195,7 @@ def test_commands_go_to_the_channel_of_the_file(controller, tmp_path):
 
 
 @pytest.mark.parametrize("first", ["two0", "two1"])
-def test_commands_go_to_the_first_of_several_buses(tmp_path, first):
+def test_ctl_sends_to_the_first_of_several_configured_buses(tmp_path, first):
     file = tmp_path / "two.yaml"
     _, text = read_configuration("two_buses")
     swapped = {"two0": "two1", "two1": "two0"}
@@ -232,7 +232,7 @@ def test_set_points_are_accepted_by_a_live_reference_only(controller, tmp_path):
         ("hold", "'hold' is not a time"),
     ],
 )
-def test_invalid_line_of_a_command_file_is_reported_by_number(tmp_path, line, told):
+def test_invalid_line_of_a_command_file_is_reported_with_its_line_number(tmp_path, line, told):
     file = tmp_path / "operator.txt"
     file.write_text(f"1 hold\n\n# then\n{line}\n")
     with pytest.raises(ConfigurationError, match=rf"operator\.txt:4: .*{re.escape(told)}"):
@@ -263,7 +263,7 @@ class Ending:
 
 @pytest.mark.parametrize("words", ["key", "jog x 1", "jog leg3 -0.5 --for 9"])
 @pytest.mark.parametrize(("answers", "code"), [(3, 1), (0, 2)])
-def test_controller_that_ends_during_a_command_is_a_failure(tmp_path, monkeypatch, words, answers, code):
+def test_ctl_fails_if_the_controller_ends_during_a_command(tmp_path, monkeypatch, words, answers, code):
     """A controller that never answered is a refusal with exit code 2."""
     file = tmp_path / "a.json"
     monkeypatch.setattr(operate, "REPEAT_S", 0.0)
@@ -292,13 +292,13 @@ def given(rate_Hz: float, *times_s: float, ticks: int = 40) -> list[int]:
         (3000.0, 0.007, 21),
     ],
 )
-def test_command_is_given_in_the_first_tick_at_or_after_its_time(
+def test_command_of_a_command_file_is_given_in_the_first_tick_at_or_after_its_time(
     rate_Hz: float, t_s: float, tick: int
 ) -> None:
     assert given(rate_Hz, t_s) == [tick]
 
 
-def test_command_of_a_skipped_tick_is_given_in_the_next_tick() -> None:
+def test_command_of_a_command_file_due_in_a_skipped_tick_is_given_in_the_next_tick() -> None:
     script = CommandScript([(0.0045, "stop")], 1000.0)
     assert [script(tick).operator for tick in (4, 10, 11)] == [(), (Operator.STOP,), ()]
     assert script.left == 0
@@ -308,13 +308,13 @@ def test_command_of_a_skipped_tick_is_given_in_the_next_tick() -> None:
     ("seconds", "words"),
     [(0.01, 1), (0.03, 2), (0.28, 14), (0.29, 15)],
 )
-def test_repeated_command_is_sent_every_20_ms_until_its_end(seconds: float, words: int) -> None:
+def test_repeated_command_of_a_command_file_is_sent_every_20_ms(seconds: float, words: int) -> None:
     script = CommandScript([(1.0, f"jog x 1 for {seconds}")], 1000.0)
     assert [tick for tick in range(2000) if script(tick).orders] == [1000 + 20 * k for k in range(words)]
 
 
 @pytest.mark.parametrize(("mark", "end"), [("", "\n"), ("\ufeff", "\r\n")], ids=["unix", "windows"])
-def test_command_file_of_any_editor_is_read(tmp_path: Path, mark: str, end: str) -> None:
+def test_command_file_may_have_any_line_ending_or_a_utf_8_mark(tmp_path: Path, mark: str, end: str) -> None:
     lines = ["0.5 start # at last", "", "# a remark", "  2  jog x 1 for 1.5 ", "1e1\thold"]
     (tmp_path / "c.txt").write_bytes((mark + end.join(lines) + end).encode())
     assert [(t, " ".join(word.split())) for t, word in read_commands(tmp_path / "c.txt")] == [

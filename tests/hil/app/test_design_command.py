@@ -43,7 +43,7 @@ def axis_file(folder, **changes):
 
 
 @pytest.mark.parametrize("method", SHIPPED)
-def test_command_writes_controller_figures_and_picture(tmp_path, method):
+def test_hil_design_writes_controller_file_figures_and_picture(tmp_path, method):
     files = [tmp_path / name for name in ("c.yaml", "d.json", "d.png")]
     done = design(method, "-o", files[0], "--json", files[1], "--plot", files[2], method=method)
     assert done.exit_code == 0, done.output
@@ -60,7 +60,7 @@ def test_command_writes_controller_figures_and_picture(tmp_path, method):
         assert design("hinf", "-o", files[0]).exit_code == 0, "an earlier controller is replaced"
 
 
-def test_identified_axis_replaces_the_axis_of_the_design(tmp_path):
+def test_measured_axis_model_replaces_the_nominal_axis_in_hil_design(tmp_path):
     out = tmp_path / "c.yaml"
     done = design("hinf", "--model", axis_file(tmp_path), "-o", out)
     assert done.exit_code == 0, done.output
@@ -78,13 +78,13 @@ def test_identified_axis_replaces_the_axis_of_the_design(tmp_path):
         ({"nominal": {"gain": [1, 1, 0.6, 1, 1, 1]}}, "within 20 % of their mean"),
     ],
 )
-def test_unsuitable_axis_is_refused(changes, says, tmp_path):
+def test_hil_design_refuses_an_unsuitable_axis_model_file(changes, says, tmp_path):
     done = design("hinf", "--model", axis_file(tmp_path, **changes))
     assert done.exit_code == 2
     assert says in done.output
 
 
-def test_guide_shows_the_output_of_the_command():
+def test_design_guide_shows_the_real_output_of_hil_design():
     page = (ROOT / "docs/guides/design.md").read_text()
     block = page.partition("```text\n")[2].partition("```")[0]
     assert block.split() == design("hinf").output.split()

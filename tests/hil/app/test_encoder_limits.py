@@ -62,32 +62,32 @@ SWING = 0.02 * np.sin(np.pi * T_S) ** 2, 0.02 * np.pi * np.sin(2.0 * np.pi * T_S
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.97, Doubt.NONE), (1.03, Doubt.SLIP)])
-def test_drift_of_the_length_is_found_above_the_printed_speed(share, found):
+def test_encoder_length_drift_alone_is_detected_above_the_printed_speed(share, found):
     speed = share * printed()["drift_of_length_alone_m_s"]
     assert doubt_of(1.5 + speed * T_S, np.zeros(len(T_S))) is found
 
 
 @pytest.mark.parametrize("speed_m_s", [0.005, 0.01, 0.019])
-def test_drift_in_length_and_rate_is_not_found_in_motion(speed_m_s):
+def test_encoder_drift_in_both_length_and_rate_is_undetected_during_motion(speed_m_s):
     way, rate = SWING
     drift = speed_m_s * np.maximum(T_S - 0.5, 0.0), speed_m_s * (T_S > 0.5)
     assert doubt_of(1.5 + way + drift[0], rate + drift[1]) is Doubt.NONE
 
 
-def test_drift_that_starts_above_the_printed_step_is_a_leap():
+def test_encoder_drift_that_starts_above_the_printed_rate_step_is_detected_as_a_rate_leap():
     step = 1.05 * printed()["leap_m_s"]
     drift = step * np.maximum(T_S - 0.5, 0.0), step * (T_S > 0.5)
     assert doubt_of(1.5 + drift[0], drift[1]) is Doubt.LEAP
 
 
 @pytest.mark.parametrize("factor", [1.05, 1.3, 0.7])
-def test_common_scale_error_of_length_and_rate_is_not_found(factor):
+def test_encoder_scale_error_common_to_length_and_rate_is_undetected(factor):
     way, rate = SWING
     assert doubt_of(1.5 + factor * way, factor * rate) is Doubt.NONE
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.95, Doubt.NONE), (1.08, Doubt.SLIP)])
-def test_scale_error_of_the_rate_is_found_above_the_printed_share(share, found):
+def test_encoder_scale_error_of_the_rate_alone_is_detected_above_the_printed_share(share, found):
     """At constant speed; the scale error must exceed the detectable drift plus 1.6 %."""
     figures, speed = printed(), 0.2
     wrong = share * (figures["drift_of_length_alone_m_s"] / speed + figures["scale_of_rate_alone"])
@@ -96,7 +96,7 @@ def test_scale_error_of_the_rate_is_found_above_the_printed_share(share, found):
     assert doubt_of(1.5 + way, (1.0 + wrong) * rate) is found
 
 
-def test_probe_push_overcomes_the_losses_of_the_transmission():
+def test_force_of_a_probe_push_includes_the_losses_of_the_transmission():
     """F = 24 N of a leg at home; with eta_d 0.9 and eta_b 0.85: (F + 3 + m a) / 0.9 - (F - 3) 0.85."""
     c = load("desktop")
     assert c.drives.transmission is not None
@@ -109,10 +109,10 @@ def test_probe_push_overcomes_the_losses_of_the_transmission():
     np.testing.assert_allclose(encoder_limits(c, 400.0).push_N, expected, rtol=1e-12)
 
 
-def test_friction_is_configured_known_or_a_share_of_the_rated_force():
+def test_leg_friction_is_the_configured_one_or_the_plants_or_5_percent_of_rated_force():
     assert friction_N(load("virtual")) == 0.0
     assert friction_N(load("lab")) == 60.0
-    assert friction_N(load("socketcan")) == pytest.approx(75.0), "5 % of 1.5 kN: nobody knows"
+    assert friction_N(load("socketcan")) == pytest.approx(75.0), "unknown friction: 5 % of rated 1.5 kN"
     c = load("lab")
     stated = c.model_copy(update={"monitor": c.monitor.model_copy(update={"friction_N": 25.0})})
     assert friction_N(stated) == 25.0
@@ -122,7 +122,7 @@ VIRTUAL = load("virtual")
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 6), (800.0, 6), (400.0, 4), (200.0, 3)])
-def test_delay_of_a_force_follows_the_rate_of_the_loop(rate_Hz, ticks):
+def test_ticks_until_a_force_has_fully_acted_follow_from_the_loop_rate(rate_Hz, ticks):
     """One period to the drives, one of the tick, and five lags of 0.796 ms: 3.98 ms.
 
     At 400 Hz 2 x 2.5 + 3.98 ms are 3.6 ticks, at 800 Hz 2 x 1.25 + 3.98 ms are 5.2.
@@ -132,7 +132,7 @@ def test_delay_of_a_force_follows_the_rate_of_the_loop(rate_Hz, ticks):
 
 
 @pytest.mark.parametrize("rate_Hz", [400.0, 250.0])
-def test_rates_by_differences_add_two_ticks_to_the_effect_of_a_force(rate_Hz):
+def test_leg_rates_from_length_differences_add_two_ticks_until_a_force_has_fully_acted(rate_Hz):
     """A difference uses three lengths."""
     c = load("lab-cia402")
     ticks = {}
@@ -145,7 +145,7 @@ def test_rates_by_differences_add_two_ticks_to_the_effect_of_a_force(rate_Hz):
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 60), (500.0, 30)])
-def test_encoders_are_watched_after_the_brake_release_time(rate_Hz, ticks):
+def test_encoder_rules_are_active_only_after_the_brake_release_time(rate_Hz, ticks):
     engage = VIRTUAL.engage.model_copy(update={"brake_release_s": 0.06, "brake_close_s": 0.2})
     c = VIRTUAL.model_copy(update={"engage": engage})
     assert encoder_limits(c, rate_Hz).open_ticks == ticks
@@ -188,14 +188,14 @@ def walked(force, swing=0.0):
         (-1600.0, 0.0, 390.0, "limits.force_N 2500"),
     ],
 )
-def test_probe_push_beyond_a_limit_is_reported(force, swing, friction, key):
+def test_probe_push_beyond_a_force_limit_is_reported_with_the_key_of_that_limit(force, swing, friction, key):
     c = stated(load("lab"), friction)
     told = clipped(c, limits_of(c), walked(force, swing))
     assert (told is None) == (key is None)
     assert key is None or key in str(told)
 
 
-def test_probe_push_beyond_a_limit_refuses_the_run_with_the_bound():
+def test_configured_friction_whose_probe_push_exceeds_a_limit_is_refused_with_its_bound():
     c = edited("lab", (r"^monitor:.*", "monitor:\n  friction_N: 900"))
     line = c.text[: c.text.index("friction_N: 900")].count("\n") + 1
     for entry in (refuse_unreachable, inspect):

@@ -43,7 +43,7 @@ MEANT = [
 
 
 @pytest.mark.parametrize(("text", "fault"), MEANT, ids=[text for text, _ in MEANT])
-def test_words_and_configuration_give_the_same_fault(text, fault):
+def test_fault_text_is_parsed_and_printed_back_as_the_configured_fault(text, fault):
     assert read_fault(text) == fault
     assert read_fault(show_fault(fault)) == fault
 
@@ -62,7 +62,7 @@ def test_words_and_configuration_give_the_same_fault(text, fault):
         ("drive_reset leg=0 for=1", "for: unknown key, allowed: kind, at_s, mode, leg"),
     ],
 )  # fmt: skip
-def test_invalid_words_are_refused_with_the_allowed_values(text, message):
+def test_option_fault_with_invalid_text_is_refused_with_the_allowed_values(text, message):
     with pytest.raises(ConfigurationError) as refused:
         read_fault(text)
     assert str(refused.value).startswith(f'--fault "{text}": ')
@@ -72,7 +72,7 @@ def test_invalid_words_are_refused_with_the_allowed_values(text, message):
 # configuration
 
 
-def test_words_add_faults_to_those_of_the_configuration():
+def test_option_fault_adds_a_fault_to_those_of_the_configuration():
     c = configured("virtual", "{kind: encoder_jump, leg: 0, at_s: 2, by_m: 5e-3}")
     more = with_faults(c, ["drive_silence leg=1"])
     assert c.plant is not None
@@ -97,7 +97,7 @@ def test_words_add_faults_to_those_of_the_configuration():
         ("{kind: frames_loss, probability: 2}", "plant.faults[0].probability: out of range"),
     ],
 )
-def test_invalid_entries_are_refused_with_their_place(entry, message):
+def test_invalid_fault_entry_in_the_configuration_is_refused_with_its_file_position(entry, message):
     with pytest.raises(ConfigurationError) as refused:
         configured("virtual", entry)
     assert message in str(refused.value)
@@ -134,7 +134,7 @@ def test_sim_refuses_process_faults_and_plant_refuses_mode_faults():
         (("faults", "virtual", "--only", "plant_nan/HOLD", "--junit", "/nowhere/x.xml"), "no folder"),
     ],
 )
-def test_commands_refuse_before_anything_moves(words, message):
+def test_commands_refuse_invalid_fault_options_before_the_run_starts(words, message):
     result = CliRunner().invoke(main, list(words))
     assert result.exit_code == 2, result.output
     assert message in " ".join(result.output.split())

@@ -49,7 +49,7 @@ def using(folder: Path, text: str = TEXT, limit_N: float = 500.0, **changes: Any
     return loads(with_changes(VIRTUAL.text, {"name": "virtual"} | section | changes), "my.yaml", folder)
 
 
-def test_file_is_read_as_it_was_written() -> None:
+def test_feedforward_file_is_read_with_its_header_forces_and_times() -> None:
     head, tau, start_s, step_s = read_feedforward(TEXT.encode(), "learned.csv")
     assert head == head_of(VIRTUAL).model_copy(update={"digest": head.digest})
     np.testing.assert_array_equal(tau, ROWS)
@@ -71,7 +71,7 @@ def test_file_is_read_as_it_was_written() -> None:
         ("# digest: ", "# digest: '0' #", "truncated or changed"),
     ],
 )
-def test_invalid_file_is_refused_with_the_reason(old: str, new: str, said: str) -> None:
+def test_invalid_feedforward_file_is_refused_with_the_reason(old: str, new: str, said: str) -> None:
     assert TEXT.count(old) == 1, old
     with pytest.raises(ConfigurationError) as refused:
         read_feedforward(TEXT.replace(old, new).encode(), "learned.csv")
@@ -89,7 +89,7 @@ def test_invalid_file_is_refused_with_the_reason(old: str, new: str, said: str) 
         ("reference", {"platform": {"home": {"position_m": [0, 0, 1.01]}}}),
     ],
 )
-def test_feed_forward_learned_on_another_setup_is_refused(what: str, changes: Any, tmp_path: Path) -> None:
+def test_feedforward_of_another_robot_or_path_is_refused(what: str, changes: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as refused:
         using(tmp_path, **changes)
     assert "my.yaml" in str(refused.value)
@@ -99,7 +99,7 @@ def test_feed_forward_learned_on_another_setup_is_refused(what: str, changes: An
     assert "learn again" in str(refused.value)
 
 
-def test_missing_file_is_refused_with_the_command_that_writes_one(tmp_path: Path) -> None:
+def test_missing_feedforward_file_is_refused_with_the_command_that_writes_one(tmp_path: Path) -> None:
     text = using(tmp_path).text
     (tmp_path / "learned.csv").unlink()
     with pytest.raises(ConfigurationError, match="allowed: a file of `hil learn`, given: ") as refused:
@@ -107,14 +107,14 @@ def test_missing_file_is_refused_with_the_command_that_writes_one(tmp_path: Path
     assert f"given: learned.csv (looked for {tmp_path}/learned.csv)" in str(refused.value)
 
 
-def test_force_above_the_feed_forward_limit_is_refused(tmp_path: Path) -> None:
+def test_feedforward_file_with_a_force_above_its_limit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigurationError, match=r"above feedforward\.limit_N, allowed: up to 90 N, given: 99"
     ):
         using(tmp_path, limit_N=90.0)
 
 
-def test_log_carries_the_file_and_replay_reads_it_from_there(tmp_path: Path) -> None:
+def test_log_contains_the_feedforward_file_and_replay_reads_it_from_the_log(tmp_path: Path) -> None:
     c = using(tmp_path)
     files = dict(attachments(c))
     assert files["feedforward.csv"] == TEXT.encode()
@@ -135,12 +135,12 @@ def at_rest(folder: Path, size: float = 1.0) -> Configuration:
     return using(folder, feedforward_text(head_of(c), size * ROWS, -4, 1e-3), 5000.0, reference=REST)
 
 
-def test_check_warns_about_forces_above_the_stated_disturbance(tmp_path: Path) -> None:
+def test_check_warns_about_feedforward_forces_above_the_stated_disturbance(tmp_path: Path) -> None:
     report = inspect(at_rest(tmp_path, 48.0))
     assert [line for line in report.warnings if "the certificate may alarm" in line]
 
 
-def test_error_bound_states_that_it_excludes_the_feed_forward(tmp_path: Path) -> None:
+def test_stability_error_bound_states_that_it_excludes_the_feedforward_forces(tmp_path: Path) -> None:
     assert any(
         "up to 5000 N in a leg, is not in the bound" in line
         for line in Subject(at_rest(tmp_path), Stated()).unseen

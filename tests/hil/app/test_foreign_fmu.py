@@ -54,7 +54,7 @@ def said(name, mobility):
     return [text for code, text in warnings(subject) if code in {"plant.model coupling", "plant.model legs"}]
 
 
-def test_warning_for_uncoupled_legs_proposes_pd_for_the_largest_mass():
+def test_check_of_an_fmu_with_uncoupled_legs_proposes_pd_for_the_largest_leg_mass():
     masses = np.array([40.0, 41.0, 50.0, 42.0, 43.0, 44.0])
     (text,) = said("virtual", np.diag(1 / masses))
     assert "controller.law: pd" in text
@@ -62,7 +62,7 @@ def test_warning_for_uncoupled_legs_proposes_pd_for_the_largest_mass():
     assert said("bench", np.diag(1 / masses)) == []
 
 
-def test_coupled_legs_pass_and_a_leg_of_inverted_sign_is_reported():
+def test_check_accepts_an_fmu_with_coupled_legs_and_reports_a_leg_of_inverted_sign():
     platform = model_mobility(load("virtual"))
     assert said("virtual", platform) == []
     platform[:, 3] *= -1.0
@@ -84,7 +84,7 @@ def test_check_and_sim_warn_about_a_plant_without_brakes(brake, tmp_path):
     assert printed.find("no brake holds") < printed.find("sim: ")
 
 
-def test_check_prints_units_and_refuses_an_unsuitable_fmu(tmp_path):
+def test_check_prints_the_units_of_an_fmu_and_refuses_one_without_the_mapped_variable(tmp_path):
     report = inspect(load(configured(tmp_path, "brake")))
     assert "units of force, length and rate are stated" in report.sections["plant FMU"]
     assert report.figures["fmu"]["assumed_units"] == {}
@@ -115,7 +115,7 @@ def offset(folder):
     return f"    {key}\n"
 
 
-def test_lengths_that_count_from_elsewhere_are_refused_with_the_key_that_shifts_them(tmp_path):
+def test_fmu_with_shifted_leg_lengths_is_refused_and_accepted_with_the_proposed_offset(tmp_path):
     report = inspect(legs(tmp_path, model=offset(tmp_path)))
     assert not [code for code in report.codes if code.startswith("plant.model")]
     assert report.figures["fmu"]["uncoupled"] is True
@@ -135,7 +135,7 @@ def test_lengths_that_count_from_elsewhere_are_refused_with_the_key_that_shifts_
         (["INNER=0.002"], {}, "plant.model legs", ["moves no leg", "step of the FMU"]),
     ],
 )
-def test_check_warns_about_the_quirks_of_an_fmu(quirks, built, code, words, tmp_path):
+def test_check_warns_about_each_unusual_property_of_an_fmu(quirks, built, code, words, tmp_path):
     report = inspect(legs(tmp_path, *quirks, model=offset(tmp_path), **built))
     (text,) = [text for each, text in zip(report.codes, report.warnings, strict=True) if each == code]
     for word in words:
@@ -181,7 +181,7 @@ def test_fault_without_effect_on_an_fmu_is_refused(words: str, inputs: tuple[str
         with_faults(own(*inputs), [words])
 
 
-def test_fault_with_a_mapped_input_is_accepted() -> None:
+def test_fault_whose_fmu_input_is_mapped_is_accepted() -> None:
     taken = with_faults(own("brake", "wrench"), [WRENCH, *SLIPS, "brake_slow leg=1 by=5"])
     assert taken.plant is not None
     assert len(taken.plant.faults) == 5

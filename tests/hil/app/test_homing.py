@@ -60,21 +60,21 @@ def begins_where(truth, by_m: float = 0.0) -> str:
     return f"  initial_position_m: {p.tolist()}\n  initial_rotation_vector_deg: {turn.tolist()}\n"
 
 
-def test_run_writes_its_parked_lengths(parked):
+def test_run_that_parks_writes_its_leg_lengths_to_the_homing_file(parked):
     folder, summary, truth = parked
     assert summary["success"], summary["trouble"]
     c = configuration(folder)
     file = read_homing(c, folder / "bench.yaml")
     assert file.state == "parked"
     np.testing.assert_allclose(file.lengths_m, truth["length"], atol=RESOLUTION_M)
-    assert np.abs(truth["length"] - start_lengths(c)).max() > 0.003, "it parked where it began"
+    assert np.abs(truth["length"] - start_lengths(c)).max() > 0.003, "the run parked where it had begun"
     raw = np.array(file.turns)
     gear = c.drives.transmission
     assert gear is not None
     step = (np.array(file.lengths_m) - Transmission(gear).length(raw)) / STEP_M
     np.testing.assert_allclose(step, np.round(step), atol=1e-9)
-    assert step.any(), "as the drives report them, without the turns that were added"
-    assert not (folder / "real.yaml").exists(), "a simulation speaks of emulated drives alone"
+    assert step.any(), "the file must hold the turns that the drives report, without those added"
+    assert not (folder / "real.yaml").exists(), "a simulation must not write the homing file of real drives"
 
 
 def test_pose_after_a_power_off_equals_the_pose_before(parked, tmp_path):
@@ -91,7 +91,7 @@ def test_pose_after_a_power_off_equals_the_pose_before(parked, tmp_path):
     assert summary["replay"]["exact"]
 
 
-def test_platform_moved_by_hand_is_refused_in_run_and_replay(parked, tmp_path):
+def test_platform_moved_by_hand_since_parking_is_refused_in_run_and_replay(parked, tmp_path):
     folder, _, truth = parked
     c = configuration(folder, begins_where(truth, 0.002))
     before = (folder / "bench.yaml").read_text()
@@ -106,16 +106,16 @@ def test_platform_moved_by_hand_is_refused_in_run_and_replay(parked, tmp_path):
     assert "allowed: 0.5 mm (drives.homing)" in summary["trouble"]
     rows = Log.open(tmp_path / "moved.mcap").rows()
     assert not rows["command_mode"].any(), "no drive was powered"
-    assert len(rows) < 2.5 * 400, "it ends at once"
-    assert summary["replay"]["exact"], "what the file said is in the log"
-    assert yaml.safe_load((folder / "bench.yaml").read_text()) == yaml.safe_load(before), "nothing has moved"
+    assert len(rows) < 2.5 * 400, "the run must end within 1 s"
+    assert summary["replay"]["exact"], "the replay takes the homing file from the log"
+    assert yaml.safe_load((folder / "bench.yaml").read_text()) == yaml.safe_load(before), "file changed"
 
 
 @pytest.mark.parametrize(
     ("fault", "commands", "state"),
     [((), [(1.2, "estop")], "parked"), (("encoder_lost leg=1 mode=TRACKING at=0.8",), [], "moved")],
 )
-def test_lengths_after_a_fault_are_stored_only_if_known(tmp_path, fault, commands, state):
+def test_homing_file_gets_the_leg_lengths_after_a_fault_only_if_known(tmp_path, fault, commands, state):
     c = with_faults(configuration(tmp_path, "  initial_position_m: [0, 0, 0.284]\n"), fault)
     state_homing(c, emulated=True, lengths_m=start_lengths(c).tolist())
     summary = simulate(
@@ -145,13 +145,13 @@ def refusal(c: Configuration) -> str:
     return str(refused.value)
 
 
-def test_missing_file_is_refused_with_the_command_that_makes_one(tmp_path):
+def test_missing_homing_file_is_refused_with_the_command_that_makes_one(tmp_path):
     said = refusal(configuration(tmp_path))
     assert "bench.yaml: no such file" in said
     assert "`hil homing desktop --emulated` --at-home" in said
 
 
-def test_incomplete_file_is_refused_wherever_it_ends(tmp_path):
+def test_truncated_homing_file_is_refused_wherever_it_ends(tmp_path):
     c = configuration(tmp_path)
     state(c)
     file = tmp_path / "bench.yaml"
@@ -162,13 +162,13 @@ def test_incomplete_file_is_refused_wherever_it_ends(tmp_path):
         assert ("not a complete homing file" in refusal(c)) or end < body, end
 
 
-def test_file_of_another_robot_is_refused(tmp_path):
+def test_homing_file_of_another_robot_is_refused(tmp_path):
     state(configuration(tmp_path))
     said = refusal(configuration(tmp_path, mass=11))
     assert "for another robot, configuration 'desktop'" in said
 
 
-def test_file_of_a_killed_run_is_refused(tmp_path):
+def test_homing_file_left_by_a_killed_run_is_refused(tmp_path):
     c = configuration(tmp_path)
     state(c)
     keeper = Keeper(c, emulated=True)
@@ -183,7 +183,7 @@ def test_file_of_a_killed_run_is_refused(tmp_path):
 # -- the command -------------------------------------------------------------------------------------------
 
 
-def test_one_leg_is_corrected_and_the_others_keep_their_lengths(tmp_path):
+def test_hil_homing_with_one_leg_length_keeps_the_lengths_of_the_other_legs(tmp_path):
     c = configuration(tmp_path)
     state(c)
     state_homing(c, emulated=True, legs_m={2: 0.35})
@@ -195,7 +195,7 @@ def test_one_leg_is_corrected_and_the_others_keep_their_lengths(tmp_path):
     assert there.turns is None
 
 
-def test_stated_length_may_be_wrong_by_a_quarter_turn(tmp_path):
+def test_leg_length_stated_by_the_operator_may_be_wrong_by_a_quarter_turn(tmp_path):
     c = configuration(tmp_path)
     state(c)
     assert limits(c) == pytest.approx([STEP_M / 4] * 6)
@@ -204,7 +204,7 @@ def test_stated_length_may_be_wrong_by_a_quarter_turn(tmp_path):
     assert limits(c) == [0.0005] * 6
 
 
-def test_file_is_not_written_while_a_run_uses_the_bus(tmp_path):
+def test_homing_file_is_not_written_while_a_run_uses_the_bus(tmp_path):
     c = configuration(tmp_path)
     state(c)
     before = (tmp_path / "bench.yaml").read_text()
@@ -222,7 +222,7 @@ def test_file_is_not_written_while_a_run_uses_the_bus(tmp_path):
     assert (tmp_path / "bench.yaml").read_text() != before
 
 
-def test_length_outside_the_stroke_is_refused_and_not_written(tmp_path):
+def test_hil_homing_refuses_a_length_outside_the_stroke_and_writes_no_file(tmp_path):
     c = configuration(tmp_path)
     with pytest.raises(
         ConfigurationError, match=r"leg 3: 0\.45 m: outside the stroke, allowed: 0\.25 to 0\.4 m"

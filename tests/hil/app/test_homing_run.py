@@ -90,7 +90,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, build_cycle: Callable[..., Any]) -
 
 
 @pytest.mark.parametrize("with_plant", [False, True])
-def test_run_marks_the_file_of_its_own_drives_before_the_loop(
+def test_run_marks_the_homing_file_of_its_drives_as_moved_before_the_loop(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool
 ) -> None:
     told: list[LastPose] = []
@@ -136,7 +136,7 @@ def pressed(monkeypatch: pytest.MonkeyPatch, moment: str) -> list[str]:
 
 @pytest.mark.parametrize("moment", ["before", "behind"])
 @pytest.mark.parametrize("with_plant", [False, True])
-def test_interrupt_during_marking_does_not_change_the_file(
+def test_interrupt_while_the_homing_file_is_marked_restores_its_state(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool, moment: str
 ) -> None:
     cycle = cycle_of(tick={"age": np.full(6, 99)})
@@ -176,18 +176,18 @@ def ended(c: Configuration, changes: dict[str, Any]) -> HomingFile:
 
 
 @pytest.mark.parametrize("why", UNKNOWN)
-def test_file_stays_marked_if_the_final_lengths_are_unknown(stated, why):
+def test_homing_file_stays_marked_as_moved_if_the_final_leg_lengths_are_unknown(stated, why):
     assert ended(stated, UNKNOWN[why]).state == "moved"
 
 
 @pytest.mark.parametrize("fault", BELIEVED)
-def test_lengths_at_rest_after_another_fault_are_stored(stated, fault):
+def test_homing_file_gets_the_leg_lengths_at_rest_after_a_fault_that_keeps_them_known(stated, fault):
     file = ended(stated, {"mode": Mode.FAULT if fault else Mode.PARKED, "faults": fault})
     assert file.state == "parked"
     assert file.lengths_m == pytest.approx([each + 0.005 for each in LENGTHS])
 
 
-def test_homing_file_that_cannot_be_written_stays_marked(stated, monkeypatch):
+def test_homing_file_that_cannot_be_written_stays_marked_as_moved(stated, monkeypatch):
     def full(path, _):
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
@@ -212,7 +212,7 @@ def test_homing_file_that_cannot_be_written_stays_marked(stated, monkeypatch):
     ],
     ids=str,
 )
-def test_file_is_refused_after_a_change_of_the_transmission(stated, drives):
+def test_homing_file_is_refused_after_a_change_of_the_transmission(stated, drives):
     other = loads(with_changes(stated.text, {"name": "desktop", "drives": drives}), "desktop", stated.folder)
     for emulated in (False, True):
         assert Keeper(stated, emulated=emulated).last_pose is not None

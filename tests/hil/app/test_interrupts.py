@@ -58,7 +58,7 @@ def test_interrupt_prints_one_line_and_exits_with_130(process, monkeypatch):
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-def test_interrupt_that_a_library_turns_into_an_error_is_reported_as_an_interrupt(process, monkeypatch):
+def test_interrupt_that_a_library_converts_to_an_error_is_reported_as_interrupt(process, monkeypatch):
     def work():
         try:
             press()
@@ -69,7 +69,7 @@ def test_interrupt_that_a_library_turns_into_an_error_is_reported_as_an_interrup
     assert process("check") == (INTERRUPTED, "hil: interrupted\n")
 
 
-def test_interrupt_of_a_dialogue_names_the_question(process, monkeypatch, tmp_path):
+def test_interrupt_of_hil_new_reports_the_unanswered_question(process, monkeypatch, tmp_path):
     """The end of the input at the same place is a missing answer, with exit code 2."""
 
     def ended(_: str) -> str:
@@ -102,7 +102,7 @@ def test_second_interrupt_does_not_disturb_the_closing_of_files(process, monkeyp
     assert closed
 
 
-def test_interrupt_during_the_recorder_start_waits_for_its_end(monkeypatch):
+def test_interrupt_during_the_recorder_start_takes_effect_after_the_start(monkeypatch):
     order: list[str] = []
 
     def start(*_: object, **__: object) -> None:
@@ -168,7 +168,7 @@ def test_interrupt_of_the_replay_reports_the_end_of_the_simulation(monkeypatch, 
     assert not Log.open(tmp_path / "a.mcap").cut
 
 
-def test_second_interrupt_does_not_disturb_the_end_of_the_start():
+def test_second_interrupt_during_the_start_of_a_run_does_not_disturb_the_cleanup():
     panel = OperatorPanel()
 
     def begin():
@@ -202,7 +202,7 @@ def test_closed_terminal_ends_a_bring_up_like_ctrl_c(process, number, monkeypatc
 
 
 @pytest.mark.parametrize(("own", "told"), [("", "a log"), ("at 2 s", "at 2 s")])
-def test_interrupt_reports_its_own_text_or_the_existing_outputs(own, told):
+def test_interrupt_message_has_the_text_of_its_exception_or_else_lists_the_written_outputs(own, told):
     with pytest.raises(KeyboardInterrupt) as interrupt, leaving(lambda: "nothing has moved"):  # noqa: SIM117
         with leaving(lambda: "a log"):
             raise KeyboardInterrupt(*([own] if own else []))

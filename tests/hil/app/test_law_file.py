@@ -64,7 +64,7 @@ def replay(log, *options):
     return CliRunner().invoke(main, ["replay", str(log), *options])
 
 
-def test_law_in_a_file_runs_and_replays_with_the_same_file_only(file, monkeypatch):
+def test_law_from_a_python_file_replays_only_with_the_unchanged_file(file, monkeypatch):
     log = file.with_name("a.mcap")
     assert hil.sim(file, duration_s=0.2, log=log).summary["replay"]["exact"]
     monkeypatch.chdir("/")
@@ -102,7 +102,7 @@ def test_law_in_a_file_runs_and_replays_with_the_same_file_only(file, monkeypatc
         (":SpringSettings", ":Spring", "controller.law", "LawSettings"),
     ],
 )
-def test_invalid_section_is_refused_with_its_place(file, old, new, place, words):
+def test_invalid_controller_section_with_a_law_file_is_refused_with_its_line(file, old, new, place, words):
     file.write_text(file.read_text().replace(old, new))
     with pytest.raises(ConfigurationError, match=rf"mine\.yaml:\d+:\d+: {place}: .*{words}"):
         load(file)
@@ -117,7 +117,7 @@ def test_law_file_with_an_error_is_refused_with_its_line(file, code, words):
         load(file)
 
 
-def test_law_in_a_file_can_be_sent_to_other_processes(file):
+def test_configuration_with_a_law_file_can_be_pickled_to_another_process(file):
     code = "import pickle, sys; c = pickle.load(sys.stdin.buffer); print(c.controller, c.law_file.path.name)"
     here = pickle.dumps(load(file))
     done = subprocess.run([sys.executable, "-c", code], input=here, capture_output=True, check=True)
@@ -125,7 +125,7 @@ def test_law_in_a_file_can_be_sent_to_other_processes(file):
     assert b"spring.py" in done.stdout
 
 
-def test_law_file_next_to_an_untrusted_log_is_not_run(file, tmp_path, monkeypatch):
+def test_replay_does_not_run_a_law_file_that_this_user_never_loaded(file, tmp_path, monkeypatch):
     log = file.with_name("a.mcap")
     hil.sim(file, duration_s=0.1, log=log)
     monkeypatch.setattr("hil.app.configuration.law_file._KNOWN", tmp_path / "another user")

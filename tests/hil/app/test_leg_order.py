@@ -27,7 +27,7 @@ def found(K, moved=None, model=ODD):
 
 @pytest.mark.parametrize("order", [SWAP, SHIFT, [5, 4, 3, 2, 1, 0], [2, 0, 1, 5, 3, 4]])
 @pytest.mark.parametrize("size", [0.4, 1.0, 2.5])
-def test_a_wrong_order_names_legs_and_keys_at_any_size(order, size):
+def test_wrong_leg_order_of_an_fmu_is_reported_with_legs_and_keys_at_any_mass(order, size):
     K = size * ODD
     for keys, sentences in (
         ("force, length, rate and brake", found(reordered(K, order, order))),
@@ -46,7 +46,7 @@ def test_a_wrong_order_names_legs_and_keys_at_any_size(order, size):
 
 
 @pytest.mark.parametrize("legs", [[3], [0, 5], [0, 1, 2, 3, 4, 5]])
-def test_a_wrong_sign_names_legs(legs):
+def test_wrong_force_or_length_sign_of_an_fmu_is_reported_with_its_legs(legs):
     sign = np.ones(6)
     sign[legs] = -1.0
     named = f"leg {', '.join(map(str, legs))} of the FMU"
@@ -58,7 +58,7 @@ def test_a_wrong_sign_names_legs(legs):
     assert length.startswith(f"plant.model.length has the wrong sign of {named}")
 
 
-def test_a_like_response_passes_and_another_size_or_pattern_is_reported():
+def test_fmu_response_unlike_the_model_in_size_or_pattern_is_reported():
     assert found(ODD) == []
     assert found(1.04 * ODD) == []
     assert "0.90 times" in found(0.9 * ODD)[0]
@@ -67,7 +67,7 @@ def test_a_like_response_passes_and_another_size_or_pattern_is_reported():
     assert f"{ratio.min():.2f} to {ratio.max():.2f} times" in found(legs)[0]
 
 
-def test_uncoupled_legs_have_an_order_and_signs_too():
+def test_wrong_order_and_sign_are_also_reported_for_an_fmu_with_uncoupled_legs():
     single = np.diag([1.0, 2.0, 1.0, 2.0, 1.0, 3.0])
     assert found(single) == []
     assert "leg 2 of the FMU answers as leg 4" in found(single[:, SWAP])[0]
@@ -75,7 +75,7 @@ def test_uncoupled_legs_have_an_order_and_signs_too():
 
 
 @pytest.mark.parametrize("dead", [[2], [0, 1, 2, 3, 4, 5]])
-def test_legs_that_no_push_moves_are_named(dead):
+def test_fmu_legs_that_do_not_respond_to_a_force_are_reported(dead):
     for K in (ODD.copy(), ODD.copy().T):
         K[:, dead] = 0.0
         (sentence,) = found(K)

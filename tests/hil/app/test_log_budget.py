@@ -58,7 +58,7 @@ def left(folder):
     return {path.stem for path in folder.glob("*.mcap")}
 
 
-def test_oldest_logs_without_a_fault_are_removed_first_newest_never(runs):
+def test_log_budget_removes_the_oldest_fault_free_logs_first_and_never_the_newest(runs):
     removed = [path.rsplit("/", 1)[1].removesuffix(".mcap") for path in make_room(configured(runs, 1e-6), 0)]
     assert removed == [
         "virtual-20260101T000000",
@@ -71,14 +71,14 @@ def test_oldest_logs_without_a_fault_are_removed_first_newest_never(runs):
     assert left(runs) == OTHERS | {"virtual-20260101T000004"}
 
 
-def test_only_as_many_logs_are_removed_as_the_budget_needs(runs):
+def test_log_budget_removes_no_more_logs_than_needed(runs):
     size = (runs / "mine.mcap").stat().st_size
     total = sum(log.stat().st_size for logs in dated_logs(runs, "virtual").values() for log in logs)
     removed = make_room(configured(runs, (total + 0.5 * size) / 1e9), size)
     assert [path.rsplit("/", 1)[1] for path in removed] == ["virtual-20260101T000000.mcap"]
 
 
-def test_no_log_is_removed_without_a_budget_or_for_a_named_log(runs, tmp_path):
+def test_no_log_is_removed_without_a_budget_or_if_the_new_log_has_a_given_path(runs, tmp_path):
     before = left(runs)
     c = loads(load("virtual").text.replace("folder: runs", f"folder: {runs}"), "virtual")
     assert make_room(c, 0) == []
@@ -95,7 +95,7 @@ def test_run_that_needs_more_than_budget_or_disk_is_refused(runs):
     assert len(left(runs)) == 10
 
 
-def test_run_that_is_still_recorded_keeps_both_logs(runs):
+def test_log_budget_keeps_both_logs_of_a_run_that_is_still_being_recorded(runs):
     own, other = "virtual-20260101T000000-2", "virtual-20260101T000002-2"
     both = {own, f"{own}-plant", other, f"{other}-plant"}
     shutil.copy(runs / "mine.mcap", runs / f"{own}-plant.mcap")

@@ -54,7 +54,7 @@ def new(path, words, *more, answers=None):
 
 
 @pytest.mark.parametrize("name", broad(ROBOTS, quick=1))
-def test_new_configuration_passes_check_with_force_in_reserve(name, tmp_path):
+def test_configuration_of_hil_new_passes_hil_check_with_force_in_reserve(name, tmp_path):
     path = tmp_path / f"{name}.yaml"
     done = new(path, ROBOTS[name])
     assert done.exit_code == 0, done.output
@@ -101,7 +101,7 @@ MOUNTED = {
 
 
 @pytest.mark.parametrize("mounting", MOUNTED)
-def test_new_robot_carries_itself_in_its_mounting(mounting, tmp_path):
+def test_leg_forces_of_a_robot_from_hil_new_carry_its_weight_in_each_mounting(mounting, tmp_path):
     """The sum of the leg forces along gravity is the weight of the platform and the share of the legs at it."""
     path, gravity = tmp_path / "r.yaml", np.array(MOUNTED[mounting])
     done = new(path, ROBOTS["table"], "--mounting", mounting, "--leg-mass", "0")
@@ -199,7 +199,7 @@ def test_new_robot_runs_at_the_highest_rate_of_its_drives(name, tmp_path):
 HEAVY = ROBOTS["simulator"].replace(" --layout classic", " --drives cia402 --travel 0.01 --rate 500")
 
 
-def test_rate_too_high_for_one_bus_is_refused_with_a_bus_count(tmp_path):
+def test_hil_new_refuses_a_rate_too_high_for_one_bus_with_the_needed_bus_count(tmp_path):
     """docs/guides/buses.md: six drives on one bus take 2005 us of a tick, three on a bus 1030 us."""
     path = tmp_path / "r.yaml"
     done = new(path, HEAVY)
@@ -216,7 +216,7 @@ def test_rate_too_high_for_one_bus_is_refused_with_a_bus_count(tmp_path):
         assert (c.loop.rate_Hz, c.bus.layout, c.bus.bitrate_bit_s) == (500.0, "classic", 1_000_000)
 
 
-def test_dialogue_repeats_a_question_after_an_implausible_answer(tmp_path):
+def test_hil_new_repeats_a_question_after_an_implausible_answer(tmp_path):
     path = tmp_path / "r.yaml"
     typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan legs FD 1 1000"
     done = new(path, "", answers="\n".join(typed.split()) + "\n")
@@ -229,7 +229,7 @@ def test_dialogue_repeats_a_question_after_an_implausible_answer(tmp_path):
     assert {k: v for k, v in a.items() if k != "name"} == {k: v for k, v in b.items() if k != "name"}
 
 
-def test_dialogue_that_ends_early_reports_where_and_writes_nothing(tmp_path):
+def test_hil_new_whose_input_ends_early_reports_the_open_question_and_writes_no_file(tmp_path):
     done = new(tmp_path / "r.yaml", "", answers="0.35\n0.25\n")
     assert done.exit_code == 2
     assert "ended at base_half_angle_deg, nothing is written" in done.output
@@ -276,12 +276,12 @@ def answered() -> dict[str, Any]:
     "words",
     ["--encoder-resolution 1.32500004e-4", "--stroke 0.012344", "--mass 2.36 --platform-radius 0.1862699"],
 )
-def test_rounded_figures_are_consistent(words, tmp_path):
+def test_hil_new_writes_a_valid_configuration_although_its_figures_are_rounded(words, tmp_path):
     """standstill_m is at least four encoder counts; the axial moment of a disc is the sum of the others."""
     assert new(tmp_path / "r.yaml", f"{ROBOTS['table']} {words}").exit_code == 0
 
 
-def test_brake_time_covers_closing_and_stopping_the_fastest_leg():
+def test_brake_time_of_hil_new_covers_closing_and_stopping_the_fastest_leg():
     """60 kg at 1 m/s: 50 ms, then 1000 N minus 400 N of weight take 100 ms; 0.18 s are written."""
     a = answered() | {"brake_ms": 50.0, "brake_force_N": 1000.0}
     for held in ([400.0, 0, 0, 0, 0, 0], [100.0, 0, 0, 0, -400.0, 0]):

@@ -81,7 +81,7 @@ def test_summary_does_not_replace_another_file_of_its_command(line, here):
     ],
 )
 @pytest.mark.parametrize("name", ["x", "../here/x"])
-def test_two_outputs_cannot_be_one_file_under_different_names(line, name, here):
+def test_two_outputs_that_are_one_file_under_different_names_are_refused(line, name, here):
     result = hil(line.format(name))
     assert (result.exit_code, SAID in result.stderr) == (2, True), result.output
     assert list(here.iterdir()) == []
@@ -120,7 +120,7 @@ def files(folder: Path) -> list[Path]:
 
 @pytest.mark.parametrize("line", OUTPUTS)
 @pytest.mark.parametrize("there", ["theirs", "a folder", "another log"])
-def test_foreign_file_is_not_replaced(log, here, line, there):
+def test_commands_do_not_replace_an_output_file_that_they_did_not_write(log, here, line, there):
     name = OUTPUTS[line]
     write(here / "poses.csv", rows())
     if there == "a folder":
@@ -140,7 +140,7 @@ def test_foreign_file_is_not_replaced(log, here, line, there):
 @pytest.mark.parametrize(
     "line", [each for each in OUTPUTS if each.startswith(("report", "plot", "view", "export"))]
 )
-def test_force_does_not_replace_a_log(log, here, line):
+def test_option_force_does_not_replace_a_log(log, here, line):
     other = shutil.copy(log, here / OUTPUTS[line])
     result = hil(f"{line.replace('LOG', str(log)).replace('X', OUTPUTS[line])} --force")
     assert (result.exit_code, "no log is ever overwritten" in result.stderr) == (2, True), result.output
@@ -154,7 +154,7 @@ EARLY = [
 
 
 @pytest.mark.parametrize("line", EARLY)
-def test_missing_folder_is_refused_before_the_work(log, here, line):
+def test_output_in_a_missing_folder_is_refused_before_the_work_begins(log, here, line):
     write(here / "poses.csv", rows())
     result = hil(line.replace("LOG", str(log)).replace("X", f"nowhere/{OUTPUTS[line]}"))
     assert (result.exit_code, "nowhere" in result.stderr) == (2, True), result.output
@@ -226,14 +226,14 @@ FORMATS = {
 
 
 @pytest.mark.parametrize("ending", FORMATS)
-def test_full_disk_is_reported_and_leaves_no_file(log, here, small_files, ending):
+def test_output_on_a_full_disk_is_reported_and_leaves_no_file(log, here, small_files, ending):
     done = hil(f"{FORMATS[ending].replace('LOG', str(log))} a.{ending}")
     assert done.exit_code == 2
     assert f"a.{ending}: cannot be written: " in done.stderr
     assert list(here.iterdir()) == []
 
 
-def test_failed_write_keeps_the_earlier_file(here):
+def test_failed_write_of_an_output_keeps_the_earlier_file(here):
     out = here / "a.csv"
     out.write_text("old")
 
@@ -248,14 +248,14 @@ def test_failed_write_keeps_the_earlier_file(here):
     assert out.read_text() == "old"
 
 
-def test_file_created_during_the_work_is_not_replaced(tmp_path):
+def test_output_file_created_by_others_during_the_work_is_not_replaced(tmp_path):
     out = tmp_path / "a.yaml"
     with pytest.raises(LogError, match="exists and is not overwritten"), made_whole(out, overwrite=False):
         out.write_text("theirs")
     assert out.read_text() == "theirs"
 
 
-def test_later_error_does_not_hide_an_earlier_one():
+def test_summary_keeps_an_earlier_error_when_a_later_one_is_added():
     summary: dict[str, Any] = {"success": True, "trouble": None}
     for why in ("", "the recorder stopped", "the picture failed"):
         fail(summary, why)
@@ -263,7 +263,7 @@ def test_later_error_does_not_hide_an_earlier_one():
 
 
 @pytest.mark.parametrize("success", [True, False])
-def test_each_failed_output_is_listed_and_the_figures_are_kept(success):
+def test_summary_lists_each_output_that_failed_and_keeps_the_figures(success):
     summary: dict[str, Any] = {"success": success, "figure": 7}
     with further(summary):
         summary["one"] = 1
@@ -299,7 +299,7 @@ def full_disk(monkeypatch):
         ("calibrate lab poses.csv --out a.yaml", "a.yaml", "base_joints_m"),
     ],
 )
-def test_result_is_not_lost_if_its_file_cannot_be_written(here, log, full_disk, line, output, figure):
+def test_json_summary_has_the_figures_of_an_unwritten_output(here, log, full_disk, line, output, figure):
     write(here / "poses.csv", rows())
     result = hil(f"{line.replace('FOLDER', str(log.parent))} --json a.json")
     assert result.exit_code == 1, result.output

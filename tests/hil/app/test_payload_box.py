@@ -39,7 +39,7 @@ def carried(mass, x, y, z):
 CORNERS = [(0, 0, 0, 0), *((80, x, 0, z) for x in (-0.1, 0.2) for z in (0.1, 0.3))]
 
 
-def test_each_corner_is_the_robot_with_its_payload():
+def test_each_corner_of_a_payload_range_is_the_robot_with_that_payload():
     found = corners(robot(BOX).platform)
     assert found[0].words == "the model's payload"
     assert len(found) == 1 + len(CORNERS)
@@ -66,12 +66,12 @@ def test_each_corner_is_the_robot_with_its_payload():
         ([f"{POINT}, mass_range_kg: [0, 80]"] * 2, "bodies 0, 1 have ranges, allowed: one body"),
     ],
 )
-def test_invalid_ranges_are_refused(payload, words):
+def test_invalid_payload_ranges_are_refused(payload, words):
     with pytest.raises(ConfigurationError, match="(?s)" + words.replace("(", r"\(").replace("[", r"\[")):
         robot(payload)
 
 
-def test_check_refuses_a_payload_that_violates_a_limit():
+def test_check_refuses_a_payload_range_that_violates_a_limit():
     peak = inspect(robot(POINT)).figures["reference"]["force_max_N"]
     limit = [(f"force_N: {load('virtual').limits.force_N:.0f}", f"force_N: {peak + 300:.0f}")]
     with pytest.raises(
@@ -83,7 +83,7 @@ def test_check_refuses_a_payload_that_violates_a_limit():
     assert str(found.value).count("limits.force_N") == 1, "one line for each limit"
 
 
-def test_safety_tolerates_the_effect_of_the_payload_on_the_legs():
+def test_encoder_limits_include_the_leg_accelerations_of_every_payload_in_the_range():
     """Motion at home of robots with other payloads under the forces for the model's payload."""
     c = robot(BOX)
     home, still = pose_arrays(c.platform.home), np.zeros(6)
@@ -105,7 +105,7 @@ def test_safety_tolerates_the_effect_of_the_payload_on_the_legs():
 
 
 @pytest.mark.long
-def test_bound_holds_for_every_corner_in_closed_loop():
+def test_stability_bound_holds_in_closed_loop_for_every_corner_of_the_payload_range():
     c = robot(BOX, changes=[("periods: 10", "periods: 1")])
     verdict = judge(c)
     assert verdict.status == "conditional"

@@ -211,12 +211,12 @@ def looping(words: str) -> subprocess.Popen[str]:
     return process
 
 
-def test_process_kill_ends_the_process():
+def test_fault_process_kill_ends_the_plant_process():
     with looping("process_kill at=0.2") as process:
         assert process.wait(30) == -signal.SIGKILL
 
 
-def test_process_stop_continues_after_its_duration():
+def test_fault_process_stop_suspends_the_plant_process_for_its_duration():
     with looping("process_stop at=0.2 for=0.5") as process:
         stat = Path(f"/proc/{process.pid}/stat")
         stopped = []
@@ -228,7 +228,7 @@ def test_process_stop_continues_after_its_duration():
         assert stopped[-1] - stopped[0] == pytest.approx(0.5, abs=0.3)
 
 
-def test_process_slow_delays_while_the_fault_is_present():
+def test_fault_process_slow_delays_each_plant_step_while_it_is_present():
     faults = ProcessFaults([ProcessSlow(by_ms=50.0, at_s=1.0, for_s=1.0), EncoderFreeze(leg=0)], 0)
     took = []
     for t_s in (0.9, 1.0, 1.5, 2.0, 2.1):

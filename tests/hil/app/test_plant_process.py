@@ -54,7 +54,7 @@ def begin(monkeypatch: pytest.MonkeyPatch) -> Begin:
 
 
 @pytest.mark.parametrize(("given_s", "held_s"), [(0.2, 0.2), (None, 0.01)])
-def test_plant_gets_the_watchdog_of_the_run(
+def test_plant_process_uses_the_watchdog_time_of_the_run(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given_s: float | None, held_s: float
 ) -> None:
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")

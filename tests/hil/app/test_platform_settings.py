@@ -45,7 +45,7 @@ def problem(text):
     return caught.value.problems[0]
 
 
-def test_circles_give_the_platform_of_the_book():
+def test_joints_given_by_circles_give_the_joints_of_the_textbook_platform():
     text = section(VIRTUAL, "base_joints_m", " {radius_m: 2, angles_deg: [0, 60, 120, 180, 240, 300]}")
     text = section(
         text, "platform_joints_m", " {radius_m: 1, pair_centres_deg: [30, 150, 270], pair_spacing_m: 0}"
@@ -58,7 +58,7 @@ def test_circles_give_the_platform_of_the_book():
     assert np.array(scene.base_joints) == pytest.approx(robot.base_joints)
 
 
-def test_joint_pairs_and_shapes_give_the_laboratory_platform():
+def test_joint_pairs_and_body_shapes_give_the_shipped_laboratory_platform():
     """The figures of configs/lab.yaml, with the sources in its comments, to its rounding."""
     text = section(
         LAB, "base_joints_m", " {radius_m: 0.75, pair_centres_deg: [0, 120, 240], pair_half_angle_deg: 10}"
@@ -127,7 +127,7 @@ def forms():
 
 
 @pytest.mark.parametrize("form", forms())
-def test_all_CAD_forms_of_a_body_give_the_same_figures(form):
+def test_all_CAD_notations_of_a_body_give_the_same_mass_centre_and_inertia(form):
     now = resolved(body(forms()[form]))
     assert now["mass"] == M
     assert now["com"] == pytest.approx(C, abs=1e-13)

@@ -57,7 +57,7 @@ CASES: dict[str, tuple[Machine, str, bool, dict[str, Any], float, float, str]] =
 @pytest.mark.parametrize(
     ("machine", "name", "with_plant", "changes", "rate_Hz", "watchdog_s", "words"), CASES.values(), ids=CASES
 )
-def test_selected_rate_is_one_that_the_machine_holds(
+def test_run_selects_a_loop_rate_that_the_computer_holds(
     chosen, machine, name, with_plant, changes, rate_Hz, watchdog_s, words
 ):
     found_Hz, found_s, said = chosen(machine, name, with_plant=with_plant, **changes)
@@ -73,7 +73,7 @@ def test_run_is_refused_if_the_watchdog_of_real_drives_would_trip(chosen, held_H
         chosen(Machine(held_Hz=held_Hz), "virtual", with_plant=False)
 
 
-def test_without_realtime_refuse_holds_for_stretched_benches_too(chosen):
+def test_without_realtime_refuse_also_refuses_a_virtual_plant_that_can_pause_its_clock(chosen):
     loop = {"without_realtime": "refuse"}
     with pytest.raises(RunError, match="does not keep SCHED_FIFO"):
         chosen(LATE, "virtual", with_plant=True, stretching=True, loop=loop)

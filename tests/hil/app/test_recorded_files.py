@@ -31,7 +31,7 @@ NAMING: Any = {
 
 
 @pytest.mark.parametrize("name", NAMING)
-def test_file_in_the_log_replaces_the_one_on_disk(tmp_path, monkeypatch, name):
+def test_replay_uses_the_file_in_the_log_and_not_the_one_on_disk(tmp_path, monkeypatch, name):
     section, key, settings = NAMING[name]
     naming = VIRTUAL.model_copy(update={section: settings})
     monkeypatch.chdir(tmp_path)
@@ -45,7 +45,7 @@ def test_file_in_the_log_replaces_the_one_on_disk(tmp_path, monkeypatch, name):
 
 
 @pytest.mark.parametrize("name", NAMING)
-def test_file_missing_from_the_log_is_reported_by_its_key(tmp_path, name):
+def test_file_missing_from_the_log_is_reported_with_its_configuration_key(tmp_path, name):
     section, key, settings = NAMING[name]
     naming = VIRTUAL.model_copy(update={section: settings})
     files = {each: b"" for each in NAMING if each != name}
@@ -61,7 +61,7 @@ def inclined(file: str) -> Any:
     return VIRTUAL.model_copy(update={"sensors": SensorSettings.model_validate({"inclination": device})})
 
 
-def test_dbc_of_a_sensor_goes_into_the_log_and_replay_reads_only_that(tmp_path):
+def test_sensor_dbc_is_stored_in_the_log_and_replay_reads_only_that_copy(tmp_path):
     example = Path(__file__).parents[3] / "docs/examples/sensors/cia410.dbc"
     c, gone = inclined(str(example)), inclined("/gone.dbc")
     files = dict(databases(c))
@@ -79,7 +79,7 @@ def text(name: str) -> str:
 
 
 @pytest.mark.parametrize("where", ["here", "beside"])
-def test_data_sheet_is_found_here_or_next_to_the_configuration(
+def test_drive_eds_is_found_in_the_working_directory_or_next_to_the_configuration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     here, beside = tmp_path / "here", tmp_path / "beside"
@@ -94,7 +94,7 @@ def test_data_sheet_is_found_here_or_next_to_the_configuration(
         loads(text("drive.eds"), "a.yaml", beside)
 
 
-def test_configuration_of_a_log_opens_no_data_sheet(tmp_path: Path) -> None:
+def test_configuration_from_a_log_opens_no_drive_eds_file(tmp_path: Path) -> None:
     """The content of an invalid sheet would appear in the refusal."""
     secret = tmp_path / "secret"
     secret.write_text("the key\n")

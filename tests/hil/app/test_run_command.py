@@ -78,7 +78,7 @@ def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
             monkeypatch.setattr(command, name, stand_in)
         summary = command.run_daemon(c, arm=True, log=tmp_path / "a.mcap", draw=False, **options)
         ((course, shell),) = begun
-        assert watchdogs == [0.2] * bool(options.get("with_plant")), "that of the rate that runs"
+        assert watchdogs == [0.2] * bool(options.get("with_plant")), "watchdog of the actual loop rate"
         return course, shell, windows, summary
 
     return run_daemon
@@ -90,7 +90,7 @@ BUSES = pytest.mark.parametrize("options", KINDS, ids=["real", "plant", "bench"]
 
 @BUSES
 @pytest.mark.parametrize("goes_on", [False, True])
-def test_run_holds_the_platform_and_continues_with_operator_stays(
+def test_run_continues_after_parking_or_a_fault_only_if_operator_stays_is_set(
     ran: Ran, options: dict[str, bool], goes_on: bool
 ) -> None:
     operator = VIRTUAL.operator.model_copy(update={"stays": goes_on})
@@ -102,7 +102,7 @@ def test_run_holds_the_platform_and_continues_with_operator_stays(
 @pytest.mark.parametrize(
     ("rate_Hz", "window_ns"), [(1000.0, 750_000), (500.0, 1_500_000), (125.0, 6_000_000)]
 )
-def test_feedback_window_follows_the_rate_of_the_loop(
+def test_feedback_window_is_three_quarters_of_the_actual_loop_period(
     ran: Ran, options: dict[str, bool], rate_Hz: float, window_ns: int
 ) -> None:
     """Three quarters of a period; the configured rate is 1000 Hz."""

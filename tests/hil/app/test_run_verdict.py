@@ -101,7 +101,7 @@ VERDICTS: dict[str, tuple[dict[str, Any], bool, str]] = {
 
 
 @pytest.mark.parametrize(("run", "success", "trouble"), VERDICTS.values(), ids=VERDICTS)
-def test_run_with_an_uncounted_loss_fails(verdict, run, success, trouble):
+def test_run_fails_if_its_log_lost_ticks_that_were_not_counted(verdict, run, success, trouble):
     found = verdict(**run)
     assert found["success"] is success
     assert (found["trouble"] or "") == trouble
@@ -115,7 +115,7 @@ ENDINGS = {
 
 @pytest.mark.parametrize("mode", ENDINGS)
 @pytest.mark.parametrize("requested", [True, False])
-def test_summary_reports_the_end_of_the_run_and_whether_requested(verdict, mode, requested):
+def test_summary_reports_how_the_run_ended_and_whether_on_request(verdict, mode, requested):
     found = verdict(ending=replace(PARKED, mode=mode, requested=requested))
     assert found["ending"] == ENDINGS[mode] + (" on request" if requested else "")
     assert found["success"] is (mode is Mode.PARKED)

@@ -92,7 +92,7 @@ def test_simulation_with_an_incomplete_log_fails(monkeypatch, tmp_path, ending, 
     assert found["success"] is (ending is PARKED and success)
     assert (found["trouble"] or "") == "; ".join(filter(None, (ending.trouble, trouble)))
     assert found["log"] == str(tmp_path / "a.mcap")
-    assert "replay" not in found or trouble == "", "there is nothing to compare"
+    assert "replay" not in found or trouble == "", "no replay may be reported with an incomplete log"
 
 
 def ended(ends: Any, faults: Fault) -> list[tuple[Any, ...]]:

@@ -27,7 +27,7 @@ def run(tmp_path_factory):
     )
 
 
-def test_run_returns_its_log_and_its_summary(run):
+def test_sim_in_python_returns_its_log_and_its_summary(run):
     assert run.success
     assert run.summary["final_mode"] == "PARKED"
     assert str(run.log.path) == run.summary["log"]
@@ -56,7 +56,7 @@ def test_true_lengths_of_each_tick_agree_with_its_encoders(run):
     assert np.abs(true[1:] - read[:-1]).max() > 5e-4  # a tick beside the right one would be seen
 
 
-def test_sim_handles_mistakes_and_faults_like_the_command(tmp_path):
+def test_sim_in_python_refuses_mistakes_and_reports_faults_like_the_command(tmp_path):
     with pytest.raises(ConfigurationError, match=r"controller\.wn_rad_s"):
         hil.sim("virtual", controller={"wn_rad_s": -1})
     with pytest.raises(ConfigurationError, match="contoller: unknown"):
@@ -92,7 +92,7 @@ CHANGES: dict[str, tuple[Any, Any]] = {
 
 
 @pytest.mark.parametrize("section", CHANGES)
-def test_change_affects_its_own_key_only(section):
+def test_changed_configuration_text_differs_in_the_changed_key_only(section):
     """Compared through PyYAML, which agrees with YAML 1.2 if ambiguous text is quoted."""
     change, there = CHANGES[section]
     before = yaml.safe_load(TEXT) | {"controller": {"law": "pd", "kp": 1000.0, "gains": [1, 2.5e-7]}}
@@ -107,7 +107,7 @@ def test_invalid_duration_is_refused_before_a_log_is_created(tmp_path, duration_
     assert list(tmp_path.iterdir()) == []
 
 
-def test_run_identity_is_repeatable_and_unique(run, tmp_path):
+def test_run_identity_depends_on_all_inputs_of_a_simulation_only(run, tmp_path):
     """It covers all inputs of a simulation and no clock, so a repeated run gives the same log."""
     c = loads(run.log.configuration)
     first = run_identity(c, 2.0, None, None, ())
@@ -130,7 +130,7 @@ def test_run_identity_is_repeatable_and_unique(run, tmp_path):
 @pytest.mark.parametrize(
     "operator", [{"start": "asked"}, {"deadman_s": 0.2}, {"stays": True}], ids=lambda each: next(iter(each))
 )
-def test_lockstep_that_would_wait_for_an_operator_is_refused(operator):
+def test_lockstep_simulation_that_would_wait_for_an_operator_is_refused(operator):
     """Simulated time has no operator."""
     c = loads(with_changes(load("virtual").text, {"operator": operator}), "mine.yaml", Path())
     cycle = build_cycle(c, c.loop.rate_Hz, 0.01)

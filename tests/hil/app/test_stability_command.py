@@ -70,14 +70,14 @@ VERDICTS = [
 ]  # fmt: skip
 
 
-def test_every_law_is_judged():
+def test_stability_tests_cover_every_registered_control_law():
     """Designed controllers have their own test below."""
     judged = {re.search(r"law: (\w+)", str(row))[1] for row in map(repr, VERDICTS)}  # type: ignore[index]
     assert judged | {"state_space"} == set(LAWS)
 
 
 @pytest.mark.parametrize(("law", "rest", "status", "because"), VERDICTS)
-def test_verdict_on_each_law_has_the_expected_reason(law, rest, status, because):
+def test_stability_of_each_control_law_has_the_expected_result_and_reason(law, rest, status, because):
     verdict = judge(bench(law, rest=rest))
     assert verdict.status == status, verdict
     assert because in verdict.line
@@ -85,7 +85,7 @@ def test_verdict_on_each_law_has_the_expected_reason(law, rest, status, because)
         assert any("while it moves nothing is proven" in condition for condition in verdict.conditions)
 
 
-def test_pd_on_the_bench_is_stable_up_to_its_sampling_limit():
+def test_pd_on_uncoupled_200_kg_legs_is_stable_up_to_its_sampling_limit():
     """200 kg, pure damping, h = T kv / m, a period of delay, a hold: z^2 - z + h = 0, stable for h < 1."""
     text = load("bench").text.replace("force_bandwidth_Hz: 200", "force_bandwidth_Hz: 0")
     (kp,), (kv,) = (
@@ -97,7 +97,7 @@ def test_pd_on_the_bench_is_stable_up_to_its_sampling_limit():
         assert judge(loads(changed, "bench.yaml", Path())).status == status
 
 
-def test_sliding_gain_too_small_for_its_load_is_not_proven():
+def test_sliding_mode_gain_too_small_for_the_stated_load_is_reported_as_not_proven():
     config = bench(SLIDING, rest=True)
     assert judge(config, Stated(Load(15_000.0), 0.1)).status == "conditional"
     verdict = judge(config, Stated(Load(30_000.0), 0.1))
@@ -114,8 +114,7 @@ def test_bound_of_a_pose_space_law_is_in_millimetres_and_degrees():
     assert "mm and" in summary["claim"]
 
 
-def test_designed_controller_is_judged_by_its_loop():
-    """A controller file with the PD of wn 20 gives the result of inverse dynamics with wn 20."""
+def test_stability_of_a_controller_file_with_pd_gains_equals_that_of_inverse_dynamics():
     controller = LinearController(
         kind="linear-controller", method="hinf", axes="joint", rate_Hz=1000, inputs=["error", "rate_error"],
         A=[], B=[], C=[[]], D=[[400.0, 40.0]], anti_windup=[], design={},
@@ -137,7 +136,7 @@ def test_uncompensated_friction_counts_as_a_disturbance():
     assert "stay below" in verdict.claim
 
 
-def test_check_has_a_line_on_stability():
+def test_check_prints_the_stability_result_and_warns_about_an_unstable_loop():
     report = inspect(load("virtual"))
     line = "stability conditional: errors stay below 0.229 mm of leg length along the reference"
     assert line in report.sections["controller"]
@@ -171,7 +170,7 @@ def test_unstable_law_exits_with_1_and_invalid_option_with_2(tmp_path):
 @pytest.mark.parametrize(
     ("at", "alpha", "millimetres"), [("230kg@0,0,0", 0.441, 11.3), ("230@0.5,0.3,0.5", 0.571, 36.9)]
 )
-def test_unknown_payload_counts_by_its_inertia_and_weight(at, alpha, millimetres, tmp_path):
+def test_stability_bound_includes_inertia_and_weight_of_an_unknown_payload(at, alpha, millimetres, tmp_path):
     """Its mass share of 0.17 is not enough: away from the centre it also turns the platform."""
     path = tmp_path / "proof.json"
     done = CliRunner().invoke(main, ["stability", "virtual", "--payload", at, "--json", str(path)])
@@ -184,7 +183,7 @@ def test_unknown_payload_counts_by_its_inertia_and_weight(at, alpha, millimetres
 
 
 @pytest.mark.parametrize("belief", ["{inertia_scale: 0.9}", "{coulomb_friction_N: 100}"])
-def test_constant_error_is_not_reported_as_decaying(belief):
+def test_constant_error_at_rest_is_not_reported_as_decaying(belief):
     """A wrong weight, or friction in the model of the law that the robot does not have."""
     found = judge(bench(f"  law: inverse_dynamics\n  wn_rad_s: 20\n  model: {belief}\n", rest=True))
     assert found.status == "conditional"
@@ -192,7 +191,7 @@ def test_constant_error_is_not_reported_as_decaying(belief):
     assert "die out" not in found.line
 
 
-def test_dry_friction_counts_even_if_the_law_compensates_it():
+def test_stability_bound_includes_dry_friction_even_if_the_law_compensates_it():
     text = bench(
         "  law: inverse_dynamics\n  wn_rad_s: 20\n  model: {coulomb_friction_N: 250}\n", rest=True
     ).text
@@ -205,7 +204,7 @@ def test_dry_friction_counts_even_if_the_law_compensates_it():
 @pytest.mark.parametrize(
     "given", ["heavy", "-1kg", "230kg@0,0", "230kg@0,0,nan", "inf", "1e300", "230@0,1e300,0", ""]
 )
-def test_invalid_payload_is_refused(given):
+def test_stability_refuses_an_invalid_payload(given):
     done = CliRunner().invoke(main, ["stability", "virtual", "--payload", given])
     assert done.exit_code == 2
     assert "allowed: a mass in kg and its place in m" in done.output

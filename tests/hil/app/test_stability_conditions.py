@@ -70,7 +70,7 @@ def linearising(tmp_path: Path) -> list[str]:
     return [LINEAR, DESIGNED.format(file=file)]
 
 
-def test_measured_wrench_is_among_the_conditions(linearising):
+def test_stability_lists_a_correct_wrench_sensor_as_condition(linearising):
     sensed = {"sensors": {"wrench": {}}, "estimation": {"wrench": {"source": "sensor"}}}
     for law in linearising:
         found = judge(held(law, FINE, sensed))
@@ -81,7 +81,7 @@ def test_measured_wrench_is_among_the_conditions(linearising):
 OBSERVER = {"source": "observer", "bandwidth_Hz": 100, "bus_ms": 1, "drive_lag_ms": 0.796}
 
 
-def test_observer_with_the_true_path_adds_only_its_own_mode(linearising):
+def test_wrench_observer_with_exact_delay_and_lag_adds_only_its_own_pole_to_the_loop(linearising):
     """The observer sees only the disturbance: the slowest pole is its own, exp(-K T) = 0.9937 for 1 Hz."""
     slow = OBSERVER | {"bandwidth_Hz": 1, "drive_lag_ms": 1000 / (2 * np.pi * 200)}
     for law in linearising:
@@ -89,7 +89,7 @@ def test_observer_with_the_true_path_adds_only_its_own_mode(linearising):
         assert found.figures["sampled"]["largest_pole"] == pytest.approx(np.exp(-2e-3 * np.pi), abs=1e-6)
 
 
-def test_observer_counts_in_every_margin():
+def test_wrench_observer_reduces_delay_margin_and_phase_margin():
     """An observer of 100 Hz reduces the delay margin at wn 60 from 8.5 ms to 2.4."""
     fast = LINEAR.replace("20", "60")
     for law, bare_ms, left_ms in ((fast, 8.54, 2.37), (SPRINGS["feedforward_pd"], 5.16, 1.58)):
@@ -101,7 +101,7 @@ def test_observer_counts_in_every_margin():
     assert after < before - 10.0
 
 
-def test_observer_of_another_model_adds_a_condition_and_a_warning():
+def test_wrench_observer_with_another_model_than_the_law_adds_a_condition_and_a_warning():
     other = {"estimation": {"wrench": OBSERVER | {"model": {"inertia_scale": 0.9}}}}
     assert among(judge(held(LINEAR, other)), "the observer's model is the law's")
     assert "estimation.wrench.model" in inspect(held(LINEAR, other)).codes
@@ -117,20 +117,20 @@ def test_observer_of_another_model_adds_a_condition_and_a_warning():
         ({"bus": {"layout": "ideal"}, "drives": {"watchdog_ms": 3}}, 2.0),
     ],
 )
-def test_delay_to_spare_is_the_smallest_limit(changes, to_spare_ms):
+def test_printed_delay_reserve_is_the_smallest_of_its_limits(changes, to_spare_ms):
     found = judge(held(LINEAR, changes))
     assert found.figures["delay_to_spare_ms"] == pytest.approx(to_spare_ms, abs=1e-3)
     assert any(line.startswith("delay to spare") for line in found.lines)
 
 
 @pytest.mark.parametrize("law", [LINEAR, *SPRINGS.values()])
-def test_every_guarantee_names_its_timing(law):
+def test_stability_result_of_every_law_lists_its_timing_assumptions(law):
     premises = " ".join(judge(held(law)).premises)
     for words in ("feedback arrives in its tick", "before the next SYNC", "no force is limited"):
         assert words in premises
 
 
-def test_bound_counts_old_feedback_that_does_not_warn():
+def test_stability_bound_includes_feedback_older_than_a_tick_but_below_the_warning():
     """The error T ddq of a rate one tick old costs K_D T ddq / K_P = 0.43 mm at 4.3 m/s^2 and wn 20."""
     c = bench(LINEAR)
     old = loads(with_changes(c.text, {"limits": {"stale_warn_ticks": 2}}), "my.yaml", Path())
@@ -139,7 +139,7 @@ def test_bound_counts_old_feedback_that_does_not_warn():
     assert "less than 2 ticks old" in judge(old).premises[0]
 
 
-def test_law_without_wrench_compensation_has_no_condition_on_it():
+def test_law_without_wrench_compensation_has_no_condition_on_the_wrench():
     law = "  law: partial_linearisation\n  wn_rad_s: 20\n"
     for source in ("none", "observer"):
         found = judge(held(law, FINE, {"estimation": {"wrench": {"source": source}}}))
@@ -155,7 +155,7 @@ def test_online_feed_forward_has_the_condition_on_the_wrench(evaluation):
     assert not among(judge(held(law)), "wrench")
 
 
-def test_fused_pose_is_among_the_conditions(linearising):
+def test_stability_lists_an_accurate_fused_pose_as_condition(linearising):
     for law in [*linearising, SPRINGS["pid"], SPRINGS["pd_gravity"]]:
         found = judge(held(law, FINE, FUSED))
         assert among(found, "the fused pose is as good as measured lengths"), law
@@ -165,21 +165,21 @@ def test_fused_pose_is_among_the_conditions(linearising):
 
 
 @pytest.mark.parametrize("name", list(SPRINGS))
-def test_pd_on_a_live_reference_is_proven_at_rest_only(name):
+def test_stability_of_pd_with_a_live_reference_is_proven_at_rest_only(name):
     moves = "the reference rests; while it moves nothing is proven"
     found = judge(held(SPRINGS[name], {"reference": LIVE}))
     assert found.conditions.count(moves) == 1
-    assert not among(found, "the bound"), "of these laws there is none"
+    assert not among(found, "the bound"), "PD without a model has no bound"
 
 
-def test_bound_on_a_live_reference_holds_at_rest():
+def test_stability_bound_with_a_live_reference_is_stated_for_rest_only():
     found = judge(held(LINEAR, FINE, {"reference": LIVE}))
     assert found.status == "conditional"
     assert among(found, "the reference rests at home")
 
 
 @pytest.mark.parametrize("plant", [REAL, FMU])
-def test_unknown_robot_has_the_reflected_masses_of_the_law(plant):
+def test_unknown_plant_is_assumed_to_have_the_reflected_masses_of_the_laws_model(plant):
     """Half a tonne in each leg triples the inertia: without it the model would not be exact."""
     geared = {"controller": {"model": {"reflected_mass_kg": [500, 480, 460, 440, 420, 400]}}}
     bare, found = judge(held(LINEAR, plant)), judge(held(LINEAR, plant, geared))
@@ -191,7 +191,7 @@ def test_unknown_robot_has_the_reflected_masses_of_the_law(plant):
     assert among(found, "with the friction and the reflected masses of the law's model")
 
 
-def test_compensated_dry_friction_counts_on_an_unknown_plant_too():
+def test_compensated_dry_friction_counts_twice_as_disturbance_on_an_unknown_plant():
     """The robot may have friction of equal size and opposite sign, leg by leg."""
     believed = [0.0, 100.0, 200.0, 300.0, 400.0, 500.0]
     model = ModelSettings(coulomb_friction_N=believed, viscous_friction_N_s_m=1e3)
@@ -210,7 +210,7 @@ def test_compensated_dry_friction_counts_on_an_unknown_plant_too():
         (1e-6, "conditional", "errors stay below 0.00212 mm"),
     ],
 )
-def test_errors_by_encoder_resolution_do_not_decay(linearising, step_m, status, says):
+def test_errors_from_encoder_resolution_are_not_reported_as_decaying(linearising, step_m, status, says):
     """wn 20: 1 um makes the law request 4e-4 m/s^2, four times the negligible disturbance."""
     for law in linearising:
         found = judge(held(law, {"plant": {"drives": {"encoder_resolution_m": step_m}}}))

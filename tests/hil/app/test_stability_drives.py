@@ -38,14 +38,14 @@ def bound_mm(c):
     return 1e3 * max(found.figures["ultimate_bound"])
 
 
-def test_bound_grows_with_resolution_and_losses_of_the_drives():
+def test_stability_bound_grows_with_resolution_and_losses_of_the_drives():
     fine, lossy, coarse = (bound_mm(desktop(each)) for each in (LOSSLESS, SLIGHT, merged(LOSSLESS, COARSE)))
     assert 0.0525 < fine < 0.3, "52.5 um are met in 20 s"
     assert lossy > 2.0 * fine
     assert coarse > 2.0 * fine
 
 
-def test_losses_too_large_for_the_theory_have_no_bound():
+def test_stability_prints_no_bound_if_transmission_losses_are_too_large():
     found = judge(desktop(SMOOTH))
     assert found.status == "not proven"
     assert "no bound" in found.claim
@@ -62,7 +62,7 @@ def test_losses_too_large_for_the_theory_have_no_bound():
         merged(LOSSLESS, COARSE),
     ],
 )
-def test_no_run_exceeds_the_printed_bound(changes, tmp_path):
+def test_peak_leg_error_of_a_simulation_stays_below_the_printed_stability_bound(changes, tmp_path):
     c = desktop(changes)
     summary = simulate(c, log=tmp_path / "run.mcap")
     assert summary["success"], summary["trouble"]

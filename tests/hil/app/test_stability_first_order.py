@@ -89,7 +89,7 @@ ON_A_POST = {
 
 @pytest.mark.parametrize("stiffness", ["[1e3, 1e3, 1.001e3]", "[1e3, 1e3, 1e3]"])
 @pytest.mark.parametrize("error", ["", VECTORS])
-def test_springs_softer_than_the_weight_are_not_judged_stable(stiffness, error):
+def test_pd_too_soft_to_balance_a_payload_on_a_post_is_not_reported_as_stable(stiffness, error):
     """300 kg on a post of 1 m have 2943 N m/rad."""
     pose = POSE.replace("kp_rotation_N_m_rad: 2e5", f"kp_rotation_N_m_rad: {stiffness}").partition("  model")[
         0
@@ -156,7 +156,7 @@ def changed(law, *changes):
         ),
     ],
 )
-def test_rest_pose_beyond_a_soft_end_is_not_judged_stable(law, soft_end):
+def test_law_whose_rest_pose_lies_beyond_a_soft_end_is_not_proven_stable(law, soft_end):
     """Home is inside. Springs of 40 kN/m balance the weight, or its overcompensation, 0.09 m from it."""
     inside = judge(changed(law))
     assert inside.status == "conditional"
@@ -167,7 +167,7 @@ def test_rest_pose_beyond_a_soft_end_is_not_judged_stable(law, soft_end):
 
 
 @pytest.mark.parametrize("down", [-9.81, 9.81])
-def test_integral_must_hold_the_weight_in_push_and_in_pull(down):
+def test_pid_is_proven_only_if_its_integral_limit_holds_the_weight_in_push_and_pull(down):
     """3.66 kN a leg: 102 % of the one limit and 99 % of the other; with gravity upwards the legs pull."""
     gravity = "gravity_m_s2: [0, 0, -9.81]", f"gravity_m_s2: [0, 0, {down}]"
     for limit, status in ((3500.0, "not proven"), (3800.0, "conditional")):
@@ -176,7 +176,7 @@ def test_integral_must_hold_the_weight_in_push_and_in_pull(down):
 
 
 @pytest.mark.parametrize("leg", [0, 5])
-def test_one_unstable_axis_makes_the_verdict_unstable(leg):
+def test_one_unstable_axis_makes_the_stability_result_unstable(leg):
     wn = [600.0 if k == leg else 2.0 for k in range(6)]
     found = judge(bench(f"  law: inverse_dynamics\n  wn_rad_s: {wn}\n", rest=True))
     assert found.status == "unstable"

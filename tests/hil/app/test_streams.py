@@ -78,7 +78,7 @@ def test_standard_output_on_a_full_disk_loses_no_result(
 
 
 @pytest.mark.parametrize("end", list(ENDS.values())[:2], ids=list(ENDS)[:2])
-def test_json_is_written_even_if_the_output_pipe_is_closed(
+def test_json_summary_is_written_even_if_the_output_pipe_is_closed(
     invoked: Invoked,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -95,10 +95,9 @@ def test_json_is_written_even_if_the_output_pipe_is_closed(
 
 
 @pytest.mark.parametrize("kept", [0, 900])
-def test_remaining_time_counts_only_the_jobs_of_this_command(
+def test_remaining_time_of_a_continued_campaign_is_estimated_from_its_new_rows_only(
     kept: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A continued campaign starts its count with the earlier rows."""
     now = 0.0
     monkeypatch.setattr("hil.cli.shared.time.monotonic", lambda: now)
     with shared.counted("rows") as count:

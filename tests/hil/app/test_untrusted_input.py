@@ -50,7 +50,7 @@ def names_a_file():
     return make
 
 
-def test_replay_opens_no_path_from_a_log(names_a_file, pipe, tmp_path):
+def test_replay_opens_no_file_path_given_in_a_log(names_a_file, pipe, tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("the first line of another file\n")
     for file in (secret, pipe):
@@ -70,7 +70,7 @@ def sound(tmp_path_factory):
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_damaged_input_is_refused_without_a_crash(sound, target):
+def test_randomly_damaged_input_files_are_refused_without_a_crash(sound, target):
     results = [case.run(seed, sound, target) for seed in range(QUICK[target])]
     assert [r for r in results if r.problem not in {"", "hang"}] == []
     slow = [r for r in results if r.seconds > case.LONGEST_S]
@@ -79,6 +79,6 @@ def test_damaged_input_is_refused_without_a_crash(sound, target):
 
 @pytest.mark.long
 @pytest.mark.parametrize("target", TARGETS)
-def test_damaged_input_of_many_seeds_is_refused_without_a_crash(sound, target):
+def test_randomly_damaged_input_files_of_many_seeds_are_refused_without_a_crash(sound, target):
     results = [case.run(seed, sound, target) for seed in range(1000, 1000 + 20 * QUICK[target])]
     assert [r for r in results if r.problem] == []

@@ -127,7 +127,7 @@ def test_urdf_gives_joints_strokes_and_bodies_of_the_robot(platform, tmp_path):
     assert c.length_max_m == pytest.approx((q + 0.5 + 0.01 * np.arange(6)).min(), abs=1e-6)
 
 
-def test_urdf_without_masses_asks_for_them(tmp_path):
+def test_hil_new_requires_mass_options_for_a_urdf_without_masses(tmp_path):
     text = urdf(platform="floating", masses=False)
     done = new(tmp_path, text, *REST[2:])
     assert "no default for --mass, --leg-mass" in done.output
@@ -158,7 +158,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_file_that_is_no_stewart_platform_is_refused_and_says_what_is_missing(name, tmp_path):
+def test_urdf_that_is_not_a_stewart_platform_is_refused_with_what_is_missing(name, tmp_path):
     text, message = REFUSED[name]
     done = new(tmp_path, text, *REST[2:])
     assert done.exit_code == 2

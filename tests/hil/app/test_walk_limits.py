@@ -72,7 +72,7 @@ def test_leg_too_fast_to_stop_before_its_soft_end_is_a_violation(leg, way):
         ("ddq", 5.0, "acceleration above limits.acceleration_m_s2 5"),
     ],
 )
-def test_limit_of_a_magnitude_holds_for_both_signs_of_each_leg(leg, key, limit, words):
+def test_limit_on_a_leg_magnitude_is_checked_in_both_directions_along_a_path(leg, key, limit, words):
     for way in WAYS:
         assert broken(walked(leg, **{key: 0.99 * limit * way}), but="force changes") == []
         (message,) = broken(walked(leg, **{key: 1.01 * limit * way}), but="force changes")
@@ -102,7 +102,7 @@ SILENCE = Silence(T=0.1, a=6.0)
 
 @pytest.mark.parametrize("leg", LEGS)
 @pytest.mark.parametrize("way", WAYS)
-def test_travel_after_silence_counts_towards_the_end_ahead_only(leg, way):
+def test_travel_after_lost_commands_is_compared_with_the_end_ahead_of_the_leg(leg, way):
     ahead, behind = (HIGH, LOW)[:: int(way)]
     found = SILENCE.beyond(walked(leg, q=ahead - 0.12 * way, dq=1.0 * way), LOW, HIGH)
     assert found == pytest.approx({"t": STEP_S * HERE, "leg": leg, "travel_m": 0.13, "free_m": 0.12})
@@ -180,13 +180,13 @@ def test_force_step_above_the_limit_is_refused_on_a_long_path_too():
         [(0, 1.0), (50, 1.0), (50.0008, 1.02), (90, 1.02)],
     ],
 )
-def test_a_way_point_within_a_tick_is_refused(points):
+def test_path_with_a_jump_within_one_tick_is_refused(points):
     """20 mm in z; limits.speed_m_s of some m/s allows some mm in 1 ms."""
     _, found = along(points, "quintic")
     assert any("within one tick" in message for message in found)
 
 
-def test_a_fast_motion_within_the_limit_is_no_step():
+def test_fast_motion_within_the_speed_limit_is_not_reported_as_a_jump():
     """A quintic peaks at 1.875 times its mean speed, and no leg is faster than the platform."""
     seconds = 1.875 * 0.1 / (0.99 * C.limits.speed_m_s)
     _, found = along([(0, 1.0), (seconds, 1.1)], "quintic", force_step_N=40000)

@@ -133,7 +133,7 @@ def test_incomplete_request_times_out(port, monkeypatch):
     assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK
 
 
-def test_idle_connection_is_closed_for_a_new_one(port, monkeypatch):
+def test_watch_server_closes_the_oldest_idle_connections_when_new_ones_exceed_the_maximum(port, monkeypatch):
     monkeypatch.setattr("hil.app.watch.server.MOST_CONNECTIONS", 3)
     waiting = [opened(port, b"GET") for _ in range(4)]
     assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK
@@ -142,7 +142,7 @@ def test_idle_connection_is_closed_for_a_new_one(port, monkeypatch):
         each.close()
 
 
-def test_oldest_page_is_closed_for_a_new_one_with_the_token(port, monkeypatch):
+def test_watch_server_closes_the_oldest_page_for_a_new_one_with_the_token(port, monkeypatch):
     def stream(cookie=b""):
         connection = opened(port, b"GET /stream HTTP/1.1\r\n%sHOST\r\n" % cookie)
         return connection, connection.recv(17)[9:12]
@@ -218,13 +218,13 @@ GOOD = {"origin": f"http://{HOST}", "content_type": "application/json"}
         (request("/operate", "POST", TOKEN, host="evil:8642", **GOOD), HTTPStatus.FORBIDDEN),
     ],
 )
-def test_operating_needs_the_token_and_the_origin_of_the_page(given, status):
+def test_request_to_operate_needs_the_token_and_the_origin_of_the_page(given, status):
     assert status_of(LOCAL.check_operate, given) is status
     closed = Access(TOKEN, 8642, LOCAL.names, beyond=False, operate=False)
-    assert status_of(closed.check_operate, given) is not HTTPStatus.OK, "the configuration decides first"
+    assert status_of(closed.check_operate, given) is not HTTPStatus.OK, "watch.operate is false"
 
 
-def test_only_the_commands_of_the_page_are_forwarded():
+def test_watch_server_forwards_only_the_commands_of_its_page():
     for line in (
         "arm",
         "start",
@@ -277,7 +277,7 @@ def test_emergency_stop_passes_while_other_commands_wait(port, deaf):
         assert deaf.stops == count
     deaf.free.set()
     assert all(b'"taken": true' in answered(each)[0] for each in waiting)
-    assert b'"taken": true' in answered(operate(port, b"hold"))[0], "there is room again"
+    assert b'"taken": true' in answered(operate(port, b"hold"))[0], "the command queue has room again"
 
 
 ABOUT = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
@@ -295,14 +295,14 @@ def legs_of(**columns):
     return state(Piece(1, False, there, figures, []), ABOUT, 0)["legs"]
 
 
-def test_margin_of_a_leg_is_the_distance_to_its_nearer_end():
+def test_live_page_shows_the_distance_of_a_leg_to_its_nearer_end_in_mm():
     low, high = SHORTEST + 0.01, LONGEST - 0.02
     found = legs_of(q=[low, high, 0.5 * (SHORTEST + LONGEST), SHORTEST - 0.003, LONGEST + 0.004, high])
     assert found["margin"] == pytest.approx([10.0, 20.0, 725.0, -3.0, -4.0, 20.0], abs=0.01)
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_mark_of_a_leg_lists_all_its_problems(leg):
+def test_live_page_lists_all_problems_of_a_marked_leg(leg):
     age, fault = np.zeros(6, int), np.zeros(6, int)
     age[leg], fault[leg] = 200, DriveFault.OVERFORCE
     found = legs_of(

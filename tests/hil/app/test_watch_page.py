@@ -40,7 +40,7 @@ def text(browser, name):
 
 
 @pytest.mark.parametrize("width", broad([360, 1200], quick=1))
-def test_page_shows_a_run_without_errors_or_foreign_requests(rows, watch, width):
+def test_live_page_shows_a_run_without_script_errors_or_requests_to_other_hosts(rows, watch, width):
     with LiveRun(rows), Browser(width=width) as browser:
         browser.go(watch.link)
         until(browser, "watching.counts.drawn > 20")
@@ -59,7 +59,7 @@ def test_page_shows_a_run_without_errors_or_foreign_requests(rows, watch, width)
         assert {url.partition("?")[0].rpartition("/")[0] for url in browser.requests} == {watch.base}
 
 
-def test_faults_are_listed_by_name_and_their_legs_are_marked(rows, watch):
+def test_live_page_lists_faults_by_name_and_marks_their_legs(rows, watch):
     bad = rows[:1].copy()
     bad["mode"], bad["faults"] = Mode.FAULT, Fault.DRIVE | Fault.BRAKE
     bad["drive_fault"][0, 3], bad["legs_moved"] = DriveFault.OVERFORCE, 1 << 5
@@ -79,7 +79,7 @@ def test_faults_are_listed_by_name_and_their_legs_are_marked(rows, watch):
 
 
 @pytest.mark.long
-def test_stale_data_are_marked_and_the_next_run_is_shown(rows):
+def test_live_page_marks_stale_data_and_then_shows_the_next_run(rows):
     with Watch("virtual") as watch, Browser() as browser:
         browser.go(watch.link)
         until(browser, "document.getElementById('banner').textContent === 'nothing runs on this bus yet'")
@@ -109,13 +109,13 @@ def tab_to(browser, condition):
 
 
 @pytest.mark.long
-def test_every_control_works_with_the_keyboard(rows, operated):
+def test_every_control_of_the_live_page_works_with_the_keyboard(rows, operated):
     with LiveRun(rows), Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
         assert browser.value("location.search") == "", "the token is not left in the address"
         browser.key("Tab")
-        assert browser.value("document.activeElement.id") == "estop", "it comes first"
+        assert browser.value("document.activeElement.id") == "estop", "emergency stop first in tab order"
         assert browser.value("getComputedStyle(document.activeElement).outlineStyle") == "solid"
         browser.key("Enter", "\r")
         for word in ("arm", "start", "hold", "stop", "park", "reset"):
@@ -127,7 +127,7 @@ def test_every_control_works_with_the_keyboard(rows, operated):
         until(browser, "document.getElementById('speed-now').textContent === '55 % now, 40 % requested'")
         browser.key("End")
         until(browser, "document.getElementById('answer').textContent === 'speed 100: taken'")
-        assert text(browser, "waits") == "waits for tests", "the controller knows best"
+        assert text(browser, "waits") == "waits for tests", "the page must show what the controller reports"
         assert browser.errors == []
 
 
@@ -140,7 +140,7 @@ window.fetch = (to, {body}) => new Promise((answer) => {
 """
 
 
-def test_emergency_stop_is_neither_delayed_nor_overtaken(rows, operated):
+def test_emergency_stop_of_the_live_page_is_neither_delayed_nor_overtaken_by_other_commands(rows, operated):
     def click(*words):
         for word in words:
             browser.value(f"document.querySelector('[data-line={word}], button#{word}').click()")
@@ -153,12 +153,12 @@ def test_emergency_stop_is_neither_delayed_nor_overtaken(rows, operated):
         until(browser, "said.length === 1")
         browser.value("window.reset = done")
         click("estop", "hold")
-        assert browser.value("said.join()") == "reset,estop", "it waits for no answer"
+        assert browser.value("said.join()") == "reset,estop", "emergency stop waits for no answer"
         browser.value("window.reset()")
         until(
             browser, "document.getElementById('answer').textContent.includes('the emergency stop came first')"
         )
-        assert browser.value("said.join()") == "reset,estop", "what waited is dropped, what follows waits"
+        assert browser.value("said.join()") == "reset,estop", "queued commands dropped, later ones wait"
         browser.value("done()")
         until(browser, "said.length === 3")
         assert browser.value("said.join()") == "reset,estop,hold"
@@ -189,7 +189,7 @@ LET_GO = {
 
 
 @pytest.mark.long
-def test_held_control_sends_until_it_is_released(rows, operated):
+def test_held_control_of_the_live_page_sends_its_command_until_released(rows, operated):
     with LiveRun(rows) as run, Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
@@ -213,7 +213,7 @@ def test_held_control_sends_until_it_is_released(rows, operated):
         assert browser.errors == []
 
 
-def test_jog_also_holds_the_key(rows, operated):
+def test_jog_control_of_the_live_page_also_sends_the_deadman_key(rows, operated):
     with LiveRun(rows), Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")

@@ -116,7 +116,7 @@ def test_ten_viewers_receive_the_run_despite_hostile_connections(rows, watch):
         for each in others:
             each.read(1.0, states=1)
             assert each.states(), "each of the ten is served"
-        assert watch.resident_kB - before < 20_000, "nothing is kept for those who do not read"
+        assert watch.resident_kB - before < 20_000, "the server buffers nothing for viewers that do not read"
         for each in (*others, *idle, *bad, silent, first):
             each.close()
         assert ask(watch, "GET", "/")[0] == 200
@@ -149,14 +149,14 @@ def test_no_command_reaches_the_controller_without_the_token(rows, operated):
         assert controller.lines == ["hold"]
 
 
-def test_operating_is_refused_without_watch_operate(rows, watch):
+def test_command_from_the_live_page_is_refused_unless_watch_operate_is_configured(rows, watch):
     with LiveRun(rows), Listening() as controller:
-        assert len(watch.token) >= 32, "who has it keeps his place among many"
+        assert len(watch.token) >= 32, "the token protects the connection of a viewer: it must be long"
         assert post(watch, "hold")[0] == 403
         assert controller.lines == []
 
 
-def test_page_shows_that_no_controller_listens(rows, operated):
+def test_command_from_the_live_page_is_answered_with_the_reason_if_no_controller_runs(rows, operated):
     with LiveRun(rows):
         status, _, body = post(operated, "hold")
         assert status == 200
@@ -164,7 +164,7 @@ def test_page_shows_that_no_controller_listens(rows, operated):
         assert "no controller runs on bus localcan:hil0" in json.loads(body)["why"]
 
 
-def test_link_sets_the_cookie_and_the_security_policy(rows, operated):
+def test_link_with_the_token_sets_the_cookie_and_the_content_security_policy(rows, operated):
     with LiveRun(rows):
         status, headers, _ = ask(operated, "GET", f"/?token={operated.token}")
         assert status == 200

@@ -109,7 +109,7 @@ def on_reference(s):
     return arrived(PLATFORM, s)
 
 
-def test_contract_suite_covers_every_registered_law():
+def test_contract_test_suite_covers_every_registered_law():
     assert {n.split(",")[0] for n in SETTINGS} == set(LAWS)
 
 
@@ -156,7 +156,7 @@ def test_at_rest_without_error_the_force_is_the_gravity_feedforward(name):
 
 @pytest.mark.parametrize("name", EXACT)
 @pytest.mark.parametrize("case", BOOK["states"], ids=lambda c: f"t={c['t']:.2f}")
-def test_laws_with_an_exact_model_give_the_books_forces_at_zero_error(case, name):
+def test_laws_with_an_exact_model_give_the_textbook_forces_at_zero_error(case, name):
     """41 states of the book's trajectory; forces confirmed by an independent engine to 1.6e-11 N."""
     tau = asked(make(name), on_reference(sample(case)))
     np.testing.assert_allclose(tau, case["force"], rtol=0, atol=1e-8 * np.abs(case["force"]).max())
@@ -173,7 +173,7 @@ def test_only_laws_with_an_exact_model_compensate_a_known_load(name):
     np.testing.assert_allclose(J.T @ less, load if constant or name in EXACT else NONE, rtol=0, atol=1e-6)
 
 
-def test_pd_feedforward_is_mass_times_acceleration_of_each_leg():
+def test_feedforward_force_of_pd_is_mass_times_acceleration_of_each_leg():
     law = settings_of("pd", feedforward_mass_kg=[100, 200, 300, 400, 500, 0]).build(CONTEXT)
     tau = asked(law, on_reference(sample(BOOK["states"][0])), ddq_d=[1.0, -2.0, 3.0, 0.5, 0.0, 7.0])
     assert tau.tolist() == [100.0, -400.0, 900.0, 200.0, 0.0, 0.0]
@@ -233,7 +233,7 @@ TOO_UNSURE = {"disturbance_m_s2": 1.0, "model_error": 1.0, "acceleration_m_s2": 
         ("state_space", {"delay_compensation": {"bus_ms": 1.0}}, "delay"),
     ],
 )
-def test_invalid_settings_are_refused_and_name_the_key(name, changes, words):
+def test_invalid_settings_of_a_law_are_refused_with_their_key(name, changes, words):
     with pytest.raises(ValidationError, match=words):
         settings_of(name, **changes)
 
@@ -261,7 +261,7 @@ def forces(law, gains, side):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("law", "gain"), [(law, gain) for law, gains in PER_LEG.items() for gain in gains])
-def test_each_leg_can_have_its_own_gain(law, gain, side):
+def test_law_accepts_one_gain_per_leg(law, gain, side):
     gains = PER_LEG[law]
     together = forces(law, gains | {gain: (gains[gain] * SIX).tolist()}, side)
     alone = [forces(law, gains | {gain: gains[gain] * share}, side)[:, leg] for leg, share in enumerate(SIX)]

@@ -64,7 +64,7 @@ def test_rotation_error_can_be_the_difference_of_rotation_vectors(case):
 
 
 @cases(3)
-def test_pd_gravity_compensates_the_engines_gravity_at_the_measured_pose(case):
+def test_pd_gravity_compensates_the_weight_of_a_reference_engine_at_the_measured_pose(case):
     platform, state, sample = engines(case)
     ahead = PoseSample(sample.p + 0.01, sample.R, NONE, np.ones(6))
     tick = referred(platform, ahead, **state)
@@ -74,7 +74,7 @@ def test_pd_gravity_compensates_the_engines_gravity_at_the_measured_pose(case):
 
 
 @cases(1)
-def test_partial_linearisation_uses_M_and_G_but_not_H_or_the_load(case):
+def test_partial_linearisation_uses_inertia_and_gravity_but_no_coriolis_force_or_load(case):
     """ddq_d - (dJ/dt) twist = J dtwist on the reference; an error E adds J^-T M J^-1 (K_P E + K_D dE)."""
     platform, state, sample = engines(case)
     M, G, J = np.array(case["expected"]["M"]), np.array(case["expected"]["G"]), state["J"]
@@ -87,7 +87,7 @@ def test_partial_linearisation_uses_M_and_G_but_not_H_or_the_load(case):
 
 
 @cases(4)
-def test_feedforward_is_the_engines_force_on_the_reference_minus_the_load(case):
+def test_feedforward_force_equals_that_of_a_reference_engine_minus_the_load(case):
     platform, _, sample = engines(case)
     astray = {
         "p": np.array([0.0, 0.0, 1.0]),
@@ -114,7 +114,7 @@ def test_inertia_scale_scales_the_feedforward_of_massless_legs():
     np.testing.assert_allclose(less, 0.9 * full, rtol=1e-9)
 
 
-def test_every_key_of_section_model_reaches_the_model_in_SI_units():
+def test_every_key_of_section_model_is_passed_to_the_laws_model_in_SI_units():
     case = next(c for c in TRUTH["cases"] if np.abs(c["state"]["omega"]).min() > 0)
     platform, state, sample = engines(case)
     p, R, J = sample.p, sample.R, state["J"]

@@ -30,7 +30,7 @@ def error(e):
     return record_of(q_d=e, R=np.eye(3), R_d=np.eye(3), J=np.eye(6))
 
 
-def test_integral_sums_errors_times_period_up_to_its_limit():
+def test_integral_of_pid_sums_errors_times_period_up_to_its_limit():
     law, limited = pid(), pid(limit=300.0)
     errors = np.random.default_rng(3).normal(0.0, 1e-3, (50, 6))
     for e in errors:
@@ -52,7 +52,7 @@ def held_at(law, e, limit, calls):
 
 
 @pytest.mark.parametrize("e", [2e-3, -2e-3])
-def test_integral_settles_under_a_force_limit_by_back_calculation(e):
+def test_integral_of_pid_settles_under_a_force_limit_by_back_calculation(e):
     """K_i e + (limit - tau) / T_t = 0: the request settles at T_t K_i e above the limit, after any number of calls."""
     law = pid()
     expected = np.sign(e) * 1000.0 + T_T * K_I * e
@@ -61,7 +61,7 @@ def test_integral_settles_under_a_force_limit_by_back_calculation(e):
         np.testing.assert_allclose(held_at(law, e, 1000.0, calls), expected, rtol=1e-9)
 
 
-def test_force_leaves_the_limit_as_soon_as_the_error_changes_sign():
+def test_force_of_pid_leaves_its_limit_as_soon_as_the_error_changes_sign():
     """After 20 s at the limit: at once with back-calculation; the stored force takes 20 s more without it."""
     law = pid()
     held_at(law, 2e-3, 1000.0, 20_000)
@@ -72,7 +72,7 @@ def test_force_leaves_the_limit_as_soon_as_the_error_changes_sign():
     assert asked(blind, error(-1e-4)).min() > 100_000.0
 
 
-def test_given_tracking_time_is_used_and_at_least_one_period():
+def test_anti_windup_of_pid_uses_the_given_tracking_time_but_at_least_one_period():
     for T_t, share in ((0.25, 0.004), (1e-9, 1.0)):
         law = pid(T_t=T_t)
         asked(law, error(0.0), shortfall=-100.0)
@@ -102,7 +102,7 @@ def test_pid_removes_the_steady_error_under_gravity(held):
     assert np.abs(tracking["q_d"] - tracking["q"])[-1].max() < 5e-6
 
 
-def test_integral_takes_over_the_holding_force_without_a_bump(held):
+def test_integral_of_pid_takes_over_the_holding_force_without_a_jump(held):
     """The offset F fades as a quintic within 0.5 s: the error stays below max|dF/dt| / K_i."""
     moving = held[(held["mode"] >= Mode.RELEASING) & (held["mode"] <= Mode.TRACKING)]
     assert np.abs(np.diff(moving["tau"], axis=0)).max() < 20.0

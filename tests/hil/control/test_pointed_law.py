@@ -43,7 +43,7 @@ class Constant:
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_a_law_gives_equal_bits_by_address_and_from_python(name):
+def test_law_called_by_address_or_from_python_gives_bitwise_equal_forces(name):
     one, other = make(name), make(name)
     for case in BOOK["states"][::4]:
         tick = on_reference(sample(case))
@@ -81,7 +81,7 @@ def test_exception_of_a_python_law_gives_nan_force_and_is_stored(error):
         assert np.isnan(tick["tau_law"]).all() == (raised is not None)
 
 
-def test_a_callback_that_ends_before_its_first_line_gives_nan_force():
+def test_callback_of_a_python_law_that_is_interrupted_before_its_first_line_gives_nan_force():
     """Like ctypes on Ctrl-C at the first instruction: status 0, tau_law not filled."""
     address, keeps = of_python(lambda *_: 0, *[INTEGER] * 4)
     tick = record_of(tau_law=99.0)

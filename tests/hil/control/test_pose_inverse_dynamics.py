@@ -24,7 +24,7 @@ def law_of(platform):
 
 
 @cases(1)
-def test_force_and_its_response_to_an_error_match_the_engines(case):
+def test_force_of_pose_inverse_dynamics_and_its_response_to_an_error_match_reference_engines(case):
     platform, state, sample = engines(case)
     tick = referred(platform, sample, **state, wrench=case["state"]["wrench"])
     law = law_of(platform)
@@ -59,7 +59,7 @@ def turned(R, w):
     return Rotation.from_rotvec(w).as_matrix() @ R
 
 
-def test_large_pose_errors_obey_the_linear_error_dynamics():
+def test_large_pose_errors_under_pose_inverse_dynamics_obey_the_linear_error_dynamics():
     """Closed form of e'' + 2 zeta wn e' + wn^2 e = 0 from 103 degrees on, with a different wn per component.
 
     SciPy integrates the motion from dtwist* only.

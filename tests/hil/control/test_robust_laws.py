@@ -58,7 +58,7 @@ def errors(scale):
     return [(random.normal(0, 1e-3 * scale, 6), random.normal(0, 0.05 * scale, 6)) for _ in range(20)]
 
 
-def test_sliding_mode_inside_its_layer_is_linear_inverse_dynamics():
+def test_sliding_mode_inside_its_boundary_layer_is_linear_inverse_dynamics():
     """Natural frequency sqrt(lambda k / phi), damping (lambda + k / phi) / 2 wn: here 54.8 and 1.004."""
     w_n = (SLOPE * K / PHI) ** 0.5
     e = np.array([1e-3, -2e-3, 0.0, 3e-3, 0.5e-3, -1e-3])
@@ -72,7 +72,7 @@ def test_sliding_mode_inside_its_layer_is_linear_inverse_dynamics():
 
 
 @pytest.mark.parametrize("phi", [0.0, PHI])
-def test_sliding_mode_outside_its_layer_corrects_by_k_for_any_error(phi):
+def test_sliding_mode_outside_its_boundary_layer_corrects_by_gain_k_for_any_error(phi):
     law = sliding(boundary_layer_m_s=phi).build(CONTEXT)
     e = np.array([10e-3, -10e-3, 20e-3, -0.1, PHI / SLOPE * (1 + 1e-9), -6e-3])
     np.testing.assert_allclose(answer(law, e, NONE), K * np.sign(e), rtol=1e-8)
@@ -83,7 +83,7 @@ def test_sliding_mode_outside_its_layer_corrects_by_k_for_any_error(phi):
         np.testing.assert_allclose(answer(law, tiny, NONE), K * np.sign(tiny), rtol=1e-7, atol=1e-7)
 
 
-def test_switching_gain_and_layer_follow_from_the_uncertainty():
+def test_default_switching_gain_and_boundary_layer_follow_from_the_uncertainty():
     """By hand: (13 + 0.1 12 + 1) / 0.9 = 16.889; a layer of k / lambda = 0.2111 at lambda = 80."""
     uncertainty = {"disturbance_m_s2": 13.0, "model_error": 0.1, "acceleration_m_s2": 12.0}
     s = sliding(lambda_rad_s=80.0, uncertainty=uncertainty, reaching_m_s2=1.0, boundary_layer_m_s=None)
@@ -100,7 +100,7 @@ def test_uncertainty_bound_covers_the_model_error_of_the_law_itself():
 
 
 @pytest.mark.parametrize("scale", [0.3, 3.0, 30.0])
-def test_robust_correction_points_along_b_p_x_and_is_at_most_rho(scale):
+def test_robust_correction_points_along_BT_P_x_and_is_at_most_rho(scale):
     law = robust().build(CONTEXT)
     for e, de in errors(scale):
         y = (P @ np.concatenate([e, de]))[6:]
@@ -110,7 +110,7 @@ def test_robust_correction_points_along_b_p_x_and_is_at_most_rho(scale):
     assert np.linalg.norm(without_layer) == pytest.approx(RHO, rel=1e-4)
 
 
-def test_outside_the_layer_v_decreases_for_every_bounded_uncertainty():
+def test_lyapunov_function_decreases_outside_the_layer_for_every_bounded_uncertainty():
     """dV/dt = 2 x^T P dx/dt <= -x^T Q x for the worst d, which points along -y."""
     law = robust().build(CONTEXT)
     outside = 0
@@ -126,7 +126,7 @@ def test_outside_the_layer_v_decreases_for_every_bounded_uncertainty():
     assert outside > 10
 
 
-def test_robust_law_inside_its_layer_is_linear_inverse_dynamics():
+def test_robust_law_inside_its_boundary_layer_is_linear_inverse_dynamics():
     """Additional stiffness rho / epsilon K_D / 2, additional damping rho / epsilon; both 0 without uncertainty."""
     K_P1, K_D1 = K_P + RHO / EPSILON * K_D / 2, K_D + RHO / EPSILON
     e, de = errors(0.3)[0]
@@ -143,7 +143,7 @@ GAINS = [(20.0**2, 40.0), (92.0**2, 184.0), (8000.0, 210.0), (100.0, 300.0), (25
 
 
 @pytest.mark.parametrize(("K_P", "K_D"), GAINS)
-def test_a_delay_equal_to_the_margin_puts_a_root_on_the_imaginary_axis(K_P, K_D):
+def test_delay_equal_to_the_phase_margin_puts_a_root_on_the_imaginary_axis(K_P, K_D):
     """s^2 + (K_D s + K_P) exp(-s T) = 0 at s = j w_c: with more delay the loop is unstable."""
     w = cross_over(K_P, K_D)
     T = radians(phase_margin_deg(K_P, K_D)) / w
@@ -152,7 +152,7 @@ def test_a_delay_equal_to_the_margin_puts_a_root_on_the_imaginary_axis(K_P, K_D)
     assert abs(s * s + (K_D * s + K_P) * cmath.exp(-s * T)) < 1e-9 * w * w
 
 
-def test_crossover_and_phase_margin_at_critical_damping():
+def test_crossover_and_phase_margin_at_critical_damping_agree_with_the_closed_form():
     """Crossover at 2.06 wn with a margin of 76 degrees; 30 degrees at wn T = 0.39; none for a switching law."""
     assert cross_over(400.0, 40.0) == pytest.approx(20.0 * sqrt(2.0 + sqrt(5.0)), rel=1e-12)
     assert phase_margin_deg(400.0, 40.0) == pytest.approx(76.345, abs=1e-3)

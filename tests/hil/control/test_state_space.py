@@ -120,14 +120,14 @@ def test_controller_inputs_follow_the_order_in_the_file(inputs, expected):
 
 @models
 @pytest.mark.parametrize("axes", ["joint", "pose"])
-def test_anti_windup_maps_missing_force_by_the_inverse_of_the_law(axes, model):
+def test_anti_windup_converts_the_force_shortfall_by_the_inverse_of_the_law(axes, model):
     """u = x = a: the law requests the acceleration of the missing force, and so exactly this force."""
     given = controller([[0.0]], [[0.0, 0.0]], [[1.0]], [[0.0, 0.0]], [1.0], axes=axes)
     whole = asked(law(given, model), astray())
     np.testing.assert_allclose(asked(law(given, model), astray(), shortfall=PUSH) - whole, PUSH, atol=1e-6)
 
 
-def test_anti_windup_gain_times_the_reduction_is_added_to_the_state():
+def test_anti_windup_adds_gain_times_the_acceleration_shortfall_to_the_state():
     """x' = 0.5 x + 2 a and u = x: a shortfall of 1 m/s^2 on every leg reduces u by 2 m/s^2."""
     mine = law(controller([[0.5]], [[0.0, 0.0]], [[1.0]], [[0.0, 0.0]], [2.0]))
     inertia = at_rest(NONE, NONE)[1]

@@ -58,7 +58,7 @@ def estimate(fit):
     return np.hstack([fit.base_joints, fit.platform_joints, fit.offsets[:, None]])
 
 
-def test_robot_is_recovered_from_exact_pairs():
+def test_calibration_recovers_the_robot_from_exact_poses_and_lengths():
     true, measured = synthetic(1, length=0.0)
     fit = calibrate(NOMINAL, unweighted(measured))
     assert estimate(fit) == pytest.approx(true, abs=1e-9)
@@ -70,7 +70,7 @@ def test_robot_is_recovered_from_exact_pairs():
 @pytest.mark.parametrize(
     "kind", [{}, {"position": 3e-5, "rotation": 6e-5}], ids=["lengths noisy", "poses noisy, too"]
 )
-def test_errors_agree_with_the_reported_uncertainty(kind):
+def test_calibration_errors_agree_with_the_reported_uncertainty(kind):
     """Over seeds: normalised errors have a standard normal distribution; chi-square has its own."""
     errors, energy, chi_square = [], [], []
     for seed in range(40):
@@ -91,7 +91,7 @@ def test_errors_agree_with_the_reported_uncertainty(kind):
     assert kstest(chi_square, chi2(198).cdf).pvalue > 1e-3
 
 
-def test_deviations_are_estimated_from_the_residuals_if_not_given():
+def test_calibration_estimates_the_measurement_deviation_from_residuals_if_not_given():
     sigma, scaled = [], []
     for seed in range(20):
         true, measured = synthetic(seed)
@@ -104,7 +104,7 @@ def test_deviations_are_estimated_from_the_residuals_if_not_given():
 
 
 @pytest.mark.parametrize("noise", [{}, {"position": 2e-5, "rotation": 5e-5}], ids=["exact", "noisy"])
-def test_poses_without_tilt_leave_common_shifts_of_joints_undetermined(noise):
+def test_calibration_without_tilted_poses_reports_common_joint_shifts_as_undetermined(noise):
     true, measured = synthetic(2, tilt_deg=0.0, **noise)
     fit = calibrate(NOMINAL, measured)
     assert fit.dof == 240 - 24
@@ -137,13 +137,13 @@ def test_poses_without_tilt_leave_common_shifts_of_joints_undetermined(noise):
         ),
     ],
 )
-def test_wrong_unit_or_direction_is_recognised(change, words):
+def test_calibration_recognises_poses_in_a_wrong_unit_or_direction(change, words):
     _, measured = synthetic(7)
     assert suspicion(NOMINAL, measured) is None
     assert words in (suspicion(NOMINAL, change(measured)) or "")
 
 
-def test_too_few_pairs_are_refused():
+def test_calibration_with_fewer_than_8_poses_is_refused():
     _, m = synthetic(8, n=7)
     with pytest.raises(CalibrationError, match="7 poses, allowed: at least 8"):
         calibrate(NOMINAL, m)

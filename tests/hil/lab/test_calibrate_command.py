@@ -65,7 +65,7 @@ def refused(tmp_path, table, header=HEADER):
     return result.stderr.replace(str(tmp_path) + "/", "")
 
 
-def test_robot_is_found_and_the_fragment_replaces_its_joints(tmp_path):
+def test_hil_calibrate_finds_the_robot_and_writes_its_joints_as_yaml(tmp_path):
     poses = write(tmp_path / "poses.csv", rows())
     out = tmp_path / "joints.yaml"
     result = hil("calibrate", "lab", poses, "--out", out, "--json", tmp_path / "c.json")
@@ -100,21 +100,21 @@ def test_robot_is_found_and_the_fragment_replaces_its_joints(tmp_path):
 
 
 @pytest.mark.parametrize("share", [1.0, 1 / 3, 3.0])
-def test_columns_may_come_in_any_order_and_deviations_give_a_chi_square(tmp_path, share):
+def test_hil_calibrate_reads_columns_in_any_order_and_gives_chi_square_for_given_deviations(tmp_path, share):
     table = [[share * NOISE, *row[::-1]] for row in rows()]
     _, figures = calibrated(tmp_path, table, ["length_std_m", *HEADER[::-1]])
     assert figures["chi_square"] / figures["degrees_of_freedom"] == pytest.approx(share**-2, rel=0.3)
     assert (0.001 < figures["p_value"] < 0.999) == (share == 1.0)
 
 
-def test_poses_without_tilt_are_reported_as_not_observable(tmp_path):
+def test_hil_calibrate_reports_poses_without_tilt_as_not_observable(tmp_path):
     text, figures = calibrated(tmp_path, rows(tilt_deg=0.0))
     assert "not observable" in " ".join(text.split())
     assert len(figures["undetermined"]) == 18
     assert figures["std_m"][0][0] is None
 
 
-def test_poorly_determined_combinations_are_reported(tmp_path):
+def test_hil_calibrate_warns_about_poorly_determined_parameters(tmp_path):
     text, figures = calibrated(tmp_path, rows(tilt_deg=2.0))
     assert "warning: weak, uncertain by more than 1 mm: l1: " in " ".join(text.split())
     assert figures["undetermined"] == []
@@ -123,7 +123,7 @@ def test_poorly_determined_combinations_are_reported(tmp_path):
     assert all(each["std_m"] > 1e-3 for each in figures["weak"])
 
 
-def test_outlier_is_reported_with_its_line_despite_blank_lines(tmp_path):
+def test_hil_calibrate_reports_an_outlier_with_its_line_despite_blank_lines(tmp_path):
     table = rows()
     table[20][7] += 2e-3
     text, _ = calibrated(tmp_path, [*table[:5], [], [" ", ""], *table[5:15], [], *table[15:]])
@@ -160,5 +160,5 @@ BAD = [
 
 
 @pytest.mark.parametrize(("table", "header", "message"), BAD)
-def test_invalid_file_is_refused_with_the_place(tmp_path, table, header, message):
+def test_hil_calibrate_refuses_an_invalid_file_with_the_line(tmp_path, table, header, message):
     assert message in refused(tmp_path, table, header)

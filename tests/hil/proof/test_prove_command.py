@@ -52,7 +52,7 @@ def test_a_refuted_claim_shows_its_counterexample_and_exits_with_1(tmp_path, old
     assert found["counterexample"].keys() >= {"theta", "omega"}
 
 
-def test_V_is_proposed_if_the_file_has_none(tmp_path):
+def test_lyapunov_function_is_proposed_if_the_proof_file_has_none(tmp_path):
     result = prove(tmp_path, "kind: proof\nstates: {x: v, v: -x - v + x**3}\n")
     assert result.exit_code == 0
     assert "V = v**2 + v*x + 3*x**2/2, proposed" in result.output
@@ -69,12 +69,12 @@ def test_V_is_proposed_if_the_file_has_none(tmp_path):
         "(" * 3000 + "x" + ")" * 3000, "-" * 3999 + "x", "x +" * 2000 + "x", "", "x\0",
     ],
 )  # fmt: skip
-def test_text_outside_the_grammar_is_refused(text):
+def test_expression_outside_the_grammar_of_a_proof_file_is_refused(text):
     with pytest.raises(ValueError, match=r"allowed|divides"):
         expression(text)
 
 
-def test_problems_of_a_file_are_listed_with_line_and_column(tmp_path):
+def test_problems_of_a_proof_file_are_listed_with_line_and_column(tmp_path):
     result = prove(tmp_path, "kind: proof\nstates: {x: system(x), y: y}\nbox: {x: [0]}\n")
     assert result.exit_code == 2
     assert "question.yaml:2:13: states.x: system(x)" in result.output
@@ -87,7 +87,7 @@ def test_an_unknown_state_in_the_box_is_refused(tmp_path):
     assert "phi" in result.output
 
 
-def test_expressions_are_exact():
+def test_expressions_of_a_proof_file_are_parsed_exactly():
     x, y = sp.symbols("x y")
     assert expression("0.1 * x**2 - y / 3 + 1_000") == x**2 / 10 - y / 3 + 1000
     assert expression("-x**2 + e**-1 * pi") == -(x**2) + sp.pi / sp.E

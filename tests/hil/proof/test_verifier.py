@@ -28,7 +28,7 @@ def test_spring_and_damper_is_asymptotically_stable_for_all_positive_parameters(
 
 
 @pytest.mark.parametrize("rate", [-(x**3), sp.sin(x) ** 2 - x])
-def test_the_first_order_examples_are_globally_asymptotically_stable(rate):
+def test_first_order_example_systems_are_globally_asymptotically_stable(rate):
     report = verify({x: rate}, x**2)
     assert report.certificate.decrease is Decrease.STRICT
     assert report.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
@@ -50,7 +50,7 @@ def test_the_energy_of_the_damped_pendulum_is_not_a_global_certificate():
     assert 0 < report.equilibrium.level <= 2
 
 
-def test_an_invalid_V_gives_no_conclusion_on_the_system():
+def test_invalid_lyapunov_function_gives_no_conclusion_on_the_system():
     report = verify({x: -x, y: -y}, x**2 - y**2)
     assert report.certificate.status is Certificate.NOT_POSITIVE_DEFINITE
     at = report.certificate.at
@@ -99,7 +99,7 @@ UNSTABLE: dict[str, tuple[Any, ...]] = {
 
 
 @pytest.mark.parametrize("name", STABLE)
-def test_a_textbook_system_is_stable(name):
+def test_textbook_stable_system_is_proven_stable(name):
     f, V, box, verdict = STABLE[name]
     report = verify(f, V, box=box)
     assert report.certificate.status is Certificate.VALID
@@ -107,7 +107,7 @@ def test_a_textbook_system_is_stable(name):
 
 
 @pytest.mark.parametrize("name", UNSTABLE)
-def test_a_textbook_system_is_unstable(name):
+def test_textbook_unstable_system_is_proven_unstable(name):
     f, V, box, theorem = UNSTABLE[name]
     report = verify(f, V, box=box)
     assert report.certificate.status is not Certificate.VALID
@@ -125,7 +125,7 @@ def test_an_equilibrium_other_than_the_origin_is_moved_to_it():
     assert verify(upright, at={theta: sp.pi}).equilibrium.status is Equilibrium.UNSTABLE
 
 
-def test_parameters_may_have_ranges():
+def test_proof_holds_for_all_parameters_within_their_ranges():
     k = sp.Symbol("k")
     assert verify({x: -k * x}, x**2, parameters={k: (R(1, 2), 2)}).certificate.status is Certificate.VALID
     report = verify({x: -k * x}, x**2, parameters={k: (-1, 2)})
@@ -133,7 +133,7 @@ def test_parameters_may_have_ranges():
     assert report.certificate.at[k] < 0
 
 
-def test_without_V_the_linearisation_decides():
+def test_stability_without_a_lyapunov_function_is_decided_by_the_linearisation():
     assert verify({x: v, v: -x - v}).equilibrium.asymptotic is Truth.PROVEN
     assert verify({x: v, v: -x}).equilibrium.status is Equilibrium.NO_CONCLUSION
     third = {x: y, y: z, z: -k0 * x - y - z}  # Routh: stable where k0 < 1
@@ -165,7 +165,7 @@ def test_without_V_the_linearisation_decides():
         ({sp.Symbol("x_{1}"): -sp.Symbol("x_{1}")}, {"box": {y: (-1, 1)}}, "which is not a state"),
     ],
 )
-def test_invalid_input_is_refused_with_the_reason(f, options, words):
+def test_invalid_input_of_the_verifier_is_refused_with_the_reason(f, options, words):
     with pytest.raises(ModelError, match=words):
         verify(f, x**2, **options)
 

@@ -108,7 +108,7 @@ def _check_counterexample(f, V, certificate):
         sum(cos(k * sp.pi / 7) for k in (1, 3, 5)) - R(1, 2),
     ],
 )
-def test_a_zero_hidden_from_algebra_is_not_a_counterexample(zero):  # Machin's and Gauss's
+def test_zero_that_symbolic_algebra_does_not_recognise_is_not_a_counterexample(zero):  # Machin's and Gauss's
     for V, truth in ((x**2 + zero, Truth.UNDECIDED), (x**2 + zero + R(1, 10**6), Truth.REFUTED)):
         assert verify({x: -x}, V).certificate.truth is truth
 
@@ -175,7 +175,7 @@ def _sum(terms):
 @settings(max_examples=6, derandomize=True, database=None)
 @given(_sum(TERMS), _sum(TERMS), st.lists(_sum(BOWLS), min_size=2, max_size=2))
 @pytest.mark.long
-def test_proven_V_hold_at_random_points_and_never_contradict(dx, dy, candidates):
+def test_proven_lyapunov_functions_hold_at_random_points_and_never_contradict_each_other(dx, dy, candidates):
     f = {x: dx, y: dy}
     box = {x: (-1, 1), y: (-1, 1)}
     said = []

@@ -91,7 +91,7 @@ def test_exact_cancellation_gives_the_textbook_derivative():
     assert cancelled(x * sp.sin(y) ** 2 + x * sp.cos(y) ** 2 - x) == 0
 
 
-def test_a_jump_is_refused_and_a_kink_is_accepted():
+def test_function_with_a_jump_is_refused_and_with_a_kink_accepted():
     assert continuous(sp.diff(sp.Abs(x) ** 3, x)) == 3 * x * sp.Abs(x)
     assert continuous(x * sp.sign(x)) == sp.Abs(x)
     assert continuous(x * sp.sign(x) ** 2) == x
@@ -113,7 +113,7 @@ def test_the_lowest_order_form_proves_a_minimum_at_the_origin():
     assert definite_near(sp.sqrt(sp.Abs(x)), (x,), {}, Budget()) is None
 
 
-def test_the_tail_bound_gives_a_radius_beyond_which_g_is_positive():
+def test_tail_bound_gives_a_radius_beyond_which_a_function_is_positive():
     radii = definite_far(x**2 - 100 * x * sp.sin(x), (x,), {}, Budget())
     assert radii is not None
     assert 100 <= radii[0] <= 1024
@@ -136,7 +136,7 @@ def test_zeros_of_semidefinite_functions_are_found():
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_the_remainder_evaluates_powers_and_derivatives_at_one_point(direction):
+def test_taylor_remainder_evaluates_powers_and_derivatives_at_the_same_point(direction):
     """x^2 / 10 - 200 x^3 / 3 + ... is positive only up to x = 0.0015. Powers at x, next to a second derivative at
     another point, would seem to be positive up to 0.06.
     """
@@ -148,7 +148,7 @@ def test_the_remainder_evaluates_powers_and_derivatives_at_one_point(direction):
     assert near[0][0][1] < 0.0015
 
 
-def test_the_level_is_the_smallest_value_on_the_boundary():
+def test_largest_level_of_a_function_is_its_smallest_value_on_the_box_boundary():
     box = {x: (-1, 1), y: (-2, 3)}
     assert largest_level(x**2 + y**2, signs(box)) == 1
     level = largest_level(x**2 + x * y + y**2, signs({x: (-1, 1), y: (-5, 5)}))
@@ -156,7 +156,7 @@ def test_the_level_is_the_smallest_value_on_the_boundary():
     assert 0.98 * 3 / 4 < level <= R(3, 4)
 
 
-def test_the_example_draws_a_system_of_two_states(tmp_path):
+def test_documentation_example_draws_the_proof_of_a_system_of_two_states(tmp_path):
     example = runpy.run_path(str(EXAMPLE))
     v = sp.Symbol("v")
     f, V, box = {x: v, v: -v - sp.sin(x)}, 1 - sp.cos(x) + v**2 / 2, {x: (-3, 3), v: (-3, 3)}

@@ -85,7 +85,7 @@ def every_law(c):
     return (set(LAWS) | set(VARIANTS)) - (set() if designed else {"state_space"})
 
 
-def test_every_law_has_a_row_by_default(virtual):
+def test_hil_compare_has_a_row_for_every_law_by_default(virtual):
     found = chosen(virtual)
     assert set(found) == every_law(virtual)
     assert found["inverse_dynamics"] == virtual.controller, "the configuration's own law is as configured"
@@ -106,17 +106,17 @@ def test_frequency_and_damping_of_a_pd_law_are_used_for_all_other_laws(virtual):
 
 
 @pytest.mark.parametrize("name", ["bench", "lab", "vcan50"])
-def test_every_shipped_bench_has_settings_for_every_law(name):
+def test_every_shipped_configuration_has_compare_settings_for_every_law(name):
     c = load(name)
     assert set(chosen(c)) == every_law(c)
 
 
-def test_a_designed_controller_is_compared_under_its_own_name(virtual):
+def test_controller_file_in_section_compare_is_compared_under_its_own_name(virtual):
     c = loads(with_section(f"\ncompare:\n  laws:\n    mine: {DESIGNED}\n"), "my.yaml", Path())
     assert list(chosen(c)) == ["mine"]
     scaled = with_scale(with_scale(chosen(c)["mine"], 0.5), 0.9)
     assert isinstance(scaled, StateSpaceSettings)
-    assert scaled.model.inertia_scale == pytest.approx(0.45), "of what the law believes already"
+    assert scaled.model.inertia_scale == pytest.approx(0.45), "multiplies the scale of the model of the law"
     own = with_law(virtual, chosen(c)["mine"])
     assert chosen(own)["state_space"] == own.controller, "the configuration's own law is as configured"
 
@@ -153,7 +153,7 @@ def test_an_invalid_section_compare_is_refused_with_its_place(section, message):
     assert str(caught.value).startswith("my.yaml:")
 
 
-def test_an_ideal_configuration_has_one_path_and_a_real_one_four(virtual, ideal):
+def test_ideal_configuration_is_compared_with_one_signal_path_and_a_real_one_with_four(virtual, ideal):
     assert list(paths(ideal)) == ["ideal"]
     found = paths(virtual)
     assert list(found) == ["ideal", "encoders", "bus", "drives"]
@@ -193,7 +193,7 @@ def test_law_and_observer_compensate_the_remaining_delays_of_each_path(virtual):
     assert delay_of_law(paths(without_hold)["ideal"]) is None
 
 
-def test_drives_with_a_transmission_also_have_an_ideal_path():
+def test_drives_with_a_transmission_also_have_an_ideal_signal_path():
     """Without a bus the drives report leg lengths: motors and their lost turns play no part."""
     c = load("virtual-cia402")
     homing = HomingSettings(file="legs.yaml", limit_m=1e-4)
@@ -208,7 +208,7 @@ def test_drives_with_a_transmission_also_have_an_ideal_path():
 
 
 @pytest.mark.long
-def test_the_error_of_each_path_is_proportional_to_its_delay(virtual):
+def test_tracking_error_of_each_signal_path_is_proportional_to_its_delay(virtual):
     """The error of exact inverse dynamics is proportional to the delay; the delay of the hold is known."""
     zoh = BOOK["joint_IDC_exact_wn20_1kHz_ZOH"]["peak_leg_err_mm"]
     found = {
@@ -226,7 +226,7 @@ def measured(ideal):
     return measure(job(ideal, duration_s=0.3, step=StepSettings(), settle_s=0.6))
 
 
-def test_rise_time_and_bandwidth_agree_with_the_linear_loop(measured):
+def test_measured_rise_time_and_bandwidth_agree_with_the_linear_loop(measured):
     """wn 20 rad/s, zeta 1: 10 to 90 % in 3.358 / wn, -3 dB at 0.6436 wn; the hold delays by half a tick."""
     assert measured.fault is None
     found = measured.figures
@@ -241,7 +241,7 @@ def believing(c, scale):
     return with_law(c, with_scale(chosen(c, ["inverse_dynamics"])["inverse_dynamics"], scale))
 
 
-def test_too_small_model_masses_make_the_loop_slower(ideal):
+def test_too_small_model_masses_lower_bandwidth_and_damping_by_the_predicted_factor(ideal):
     """s M (K_D dE + K_P E) instead of M (...): wn and zeta are multiplied by sqrt(s). Without weight."""
     s = 0.25
     weightless = ideal.platform.model_copy(update={"gravity_m_s2": (0.0, 0.0, 0.0)})
@@ -268,7 +268,7 @@ def test_an_unknown_load_deflects_the_platform_against_the_loops_stiffness(ideal
     load = DisturbanceSettings(force_N=(0, 0, -500), start_s=0.05)
     quiet = measure(job(ideal)).figures
     found = measure(job(ideal, disturbance=load, step=StepSettings(), settle_s=0.6)).figures
-    assert found["peak_leg_error_mm"] > 10 * quiet["peak_leg_error_mm"], "acts along the reference, too"
+    assert found["peak_leg_error_mm"] > 10 * quiet["peak_leg_error_mm"], "the load also acts while tracking"
     sag = 500 / VERTICAL_MASS / WN**2
     assert found["disturbed_steady_leg_error_mm"] == pytest.approx(1e3 * S_Z * sag, rel=0.01)
     assert found["steady_leg_error_mm"] < 1e-6

@@ -39,17 +39,17 @@ def verdicts(rows, settings, shares):
         ),
     ],
 )
-def test_claims_hold_or_fail_according_to_the_figures(claim, good, bad):
+def test_textbook_claims_on_laws_hold_or_fail_according_to_the_figures(claim, good, bad):
     assert [verdicts(*evidence(errors))[claim] for errors in (good, bad)] == [True, False]
 
 
-def test_the_claim_about_H_depends_only_on_its_share_of_the_force():
+def test_textbook_claim_about_coriolis_forces_depends_only_on_their_share_of_the_force():
     small = "H takes less than 1 % of the force"
     assert [verdicts(*evidence({}, H=share)) for share in (0.005, 0.02)] == [{small: True}, {small: False}]
-    assert list(verdicts(*evidence({"pd": 1.0}))) == [small], "its partners were not compared"
+    assert list(verdicts(*evidence({"pd": 1.0}))) == [small], "claims about laws without results are left out"
 
 
-def test_a_claim_without_its_figure_is_left_out():
+def test_textbook_claim_whose_figure_is_missing_is_left_out():
     rows, *rest = evidence({"pd": 5.0, "pd_gravity": 0.1})
     claim = "gravity compensation takes PD's static error away"
     assert claim in verdicts(rows, *rest)
@@ -58,7 +58,7 @@ def test_a_claim_without_its_figure_is_left_out():
     assert claim not in verdicts(rows, *rest)
 
 
-def test_claims_against_inverse_dynamics_are_left_out_if_it_faulted():
+def test_textbook_claims_relative_to_inverse_dynamics_are_left_out_if_that_law_faulted():
     """Any error is smaller than the infinite error of a stopped law, which proves nothing."""
     rows, *rest = evidence({ID: 5.0, "partial_linearisation": 500.0, "printed": 500.0, "pd": 500.0})
     stopped = rows | {ID: rows[ID]._replace(fault="FOLLOWING")}

@@ -39,7 +39,7 @@ PD_CROSSOVER = np.sqrt(2.0 + np.sqrt(5.0))
 """Crossover by natural frequency of critically damped PD on 1/s^2: |(2 j w + 1) / w^2| = 1."""
 
 
-def test_laws_are_scaled_to_the_crossover_of_the_first(ideal):
+def test_gains_of_all_laws_are_scaled_to_the_crossover_of_the_first_law(ideal):
     """PD on legs: |K_p + j w K_v| = m w^2 with the lightest motion's m, the least eigenvalue of J^-T M J^-1."""
     laws: dict[str, Any] = chosen(ideal, ["pd_gravity", "inverse_dynamics", "pose_inverse_dynamics", "pid"])
     laws["pose_inverse_dynamics"] = changed(laws["pose_inverse_dynamics"], {"wn_rad_s": [90.0] * 6})
@@ -58,7 +58,7 @@ def test_laws_are_scaled_to_the_crossover_of_the_first(ideal):
         assert loop_of(ideal, law).crossover_rad_s == pytest.approx(w_c, rel=1e-3), name
 
 
-def test_scaled_gains_keep_the_shape_of_the_loop(virtual):
+def test_gains_scaled_to_a_crossover_keep_the_shape_of_the_loop(virtual):
     """All poles of m s^3 + K_v s^2 + K_p s + K_i are multiplied by the factor."""
     before: Any = chosen(virtual, ["pid"])["pid"]
     after: Any = scaled(before, 0.3)
@@ -66,7 +66,7 @@ def test_scaled_gains_keep_the_shape_of_the_loop(virtual):
     assert np.allclose(0.3 * poles[0], poles[1])
 
 
-def test_a_loop_that_is_too_soft_for_the_crossover_is_remarked(virtual):
+def test_law_that_cannot_reach_the_common_crossover_stays_unchanged_and_is_reported(virtual):
     """Weight on legs is a negative stiffness: PD on legs that crosses over at 41 rad/s falls over."""
     laws = chosen(virtual, ["inverse_dynamics", "pd"])
     _, found, missed = crossovers(virtual, laws)

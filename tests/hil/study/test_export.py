@@ -96,7 +96,7 @@ def test_python_can_reads_back_every_frame_at_its_absolute_time(path, tmp_path, 
 
 @pytest.mark.parametrize("ending", READERS)
 @pytest.mark.parametrize("start", ["2026-01-31T13:00:00.250001+01:00", "2026-01-31T12:00:00.250001"])
-def test_start_sets_the_instant_of_the_first_tick(path, tmp_path, ending, start):
+def test_option_start_sets_the_absolute_time_of_the_first_exported_tick(path, tmp_path, ending, start):
     out = tmp_path / f"a.{ending}"
     summary = export_log(path, [out], start=start)
     begin = datetime(2026, 1, 31, 12, 0, 0, 250_001, tzinfo=UTC).timestamp() - FIRST_NS * 1e-9
@@ -108,7 +108,7 @@ def test_start_sets_the_instant_of_the_first_tick(path, tmp_path, ending, start)
 
 
 @pytest.mark.parametrize("ending", READERS)
-def test_a_frame_consumed_seconds_late_keeps_its_own_time(tmp_path, ending):
+def test_exported_frame_that_was_read_seconds_late_keeps_its_own_time(tmp_path, ending):
     late = Received(100_500_000, Frame(0x7AA, b"late"))
     rows = np.zeros(3000, TICKS[0].row.dtype)
     rows["tick"], rows["t_ns"] = np.arange(3000), np.arange(3000) * 1_000_000

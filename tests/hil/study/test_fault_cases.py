@@ -60,7 +60,7 @@ def run(name: str, *own: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize("kind", [*PLANT_FAILS, "encoder_jump"])
 @pytest.mark.parametrize("at_s", [0.0, 0.02], ids=["in the first tick", "later"])
-def test_a_plant_failure_before_the_fault_is_no_verdict_on_the_fault(refuses, kind, at_s):
+def test_fault_case_whose_plant_fails_before_the_fault_is_reported_as_not_run(refuses, kind, at_s):
     refuses(at_s)
     found = run(f"{kind}/LOADING")
     assert not found["success"]
@@ -69,13 +69,13 @@ def test_a_plant_failure_before_the_fault_is_no_verdict_on_the_fault(refuses, ki
 
 
 @pytest.mark.parametrize("kind", PLANT_FAILS)
-def test_a_plant_that_fails_because_of_its_fault_passes(kind):
+def test_fault_case_whose_fault_makes_the_plant_fail_passes(kind):
     found = run(f"{kind}/LOADING")
     assert found["success"], found
     assert (found["ended"] == "plant failed") is (kind != "plant_hang")
 
 
-def test_a_plant_failure_after_a_fault_of_another_kind_is_a_failed_case(refuses):
+def test_fault_case_fails_if_the_plant_fails_after_a_fault_kind_that_does_not_allow_it(refuses):
     refuses(None)
     found = run("encoder_jump/LOADING")
     assert not found["success"]
@@ -84,7 +84,7 @@ def test_a_plant_failure_after_a_fault_of_another_kind_is_a_failed_case(refuses)
 
 
 @pytest.mark.parametrize("own", ["encoder_noise leg=1 sigma=1e-9", "payload_step mass=10"])
-def test_reaction_time_counts_from_the_cases_fault_not_the_configurations(refuses, own):
+def test_reaction_time_counts_from_the_fault_of_the_case_not_from_configured_faults(refuses, own):
     found = run("drive_silence/LOADING", own)
     assert found["after_ms"] == pytest.approx(4), found
     assert found["success"], found
@@ -96,14 +96,14 @@ def test_reaction_time_counts_from_the_cases_fault_not_the_configurations(refuse
 LEARNED = {"file": "learned.csv", "limit_N": 500.0}
 
 
-def test_a_hold_case_runs_without_feed_forward_of_another_reference():
+def test_fault_case_on_hold_ignores_a_feedforward_file_learned_on_the_path():
     c = loads(with_changes(load("virtual").text, {"feedforward": LEARNED}), "my.yaml")
     (case,) = cases(c, ["plant_crash/HOLD"])
     assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and reported it"
 
 
 @pytest.mark.parametrize("moment", ["LOADING", "UNLOADING"])
-def test_a_reference_fastest_at_its_start_is_tracked_before_the_stop(moment):
+def test_fault_case_tracks_a_reference_that_is_fastest_at_its_start_before_it_stops(moment):
     """For example a constant reference, which is nowhere faster than at its start."""
     c = load("virtual")
     held = c.model_copy(update={"reference": HoldReference(type="hold", duration_s=10.0)})
@@ -114,7 +114,7 @@ def test_a_reference_fastest_at_its_start_is_tracked_before_the_stop(moment):
 @pytest.mark.parametrize(
     ("name", "watched"), [("cubemars", False), pytest.param("damiao", True, marks=pytest.mark.long)]
 )
-def test_a_dead_bus_in_motion_fails_drives_without_a_watchdog(name, watched):
+def test_fault_case_of_a_dead_bus_in_motion_fails_for_drives_without_a_watchdog(name, watched):
     (case,) = cases(family(name), ["bus_off/TRACKING"])
     found = run_case(Job(case, DESKTOP))
     assert found["faults"] == ["BUS"]
@@ -129,7 +129,7 @@ def test_a_dead_bus_in_motion_fails_drives_without_a_watchdog(name, watched):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "stands"), [("moteus_stopped", False), ("damiao", True)])
-def test_drives_that_a_forged_command_enables_again_fail(name, stands):
+def test_fault_case_of_a_forged_command_fails_for_drives_that_it_enables_again(name, stands):
     (case,) = cases(family(name), ["frames_forged_command/HOLD"])
     found = run_case(Job(case, DESKTOP))
     assert found["faults"] == ["SECOND_CONTROLLER"]
@@ -137,7 +137,7 @@ def test_drives_that_a_forged_command_enables_again_fail(name, stands):
     assert ("obey commands of any sender" in found["verdict"]) is not stands
 
 
-def test_usual_step_of_force_acts_along_gravity():
+def test_default_wrench_step_is_a_quarter_of_the_weight_along_gravity():
     """A quarter of the weight of 10 kg on a wall: 24.525 N."""
     c = loads(with_changes(load("desktop").text, {"platform": {"gravity_m_s2": [-9.81, 0, 0]}}), "wall.yaml")
     assert size_of("wrench_step", robot_of(c), 0, None)["force_N"] == pytest.approx((-24.525, 0, 0))

@@ -69,7 +69,7 @@ def verdict(kind: str, t: Trace) -> tuple[bool, str]:
     return judge(kind, t, see(kind, t), BOUNDS)
 
 
-def test_error_counts_until_the_reaction_and_travel_after_it():
+def test_error_of_a_fault_case_counts_until_the_reaction_and_travel_after_it():
     s = see("encoder_jump", run(reacts=10, drift=1e-4, after=7e-3))
     assert s.declared == 10
     assert s.error_m == pytest.approx(11e-4)
@@ -77,14 +77,14 @@ def test_error_counts_until_the_reaction_and_travel_after_it():
     assert s.last_m == 0
 
 
-def test_motion_along_the_reference_is_not_an_error():
+def test_motion_along_the_reference_is_not_an_error_of_a_fault_case():
     t = run(reacts=50, drift=1e-3)
     moving = t._replace(desired=t.length)
     assert see("encoder_jump", moving).error_m == 0
     assert see("encoder_jump", moving).found_m == pytest.approx(51e-3)
 
 
-def test_on_closed_brakes_the_error_counts_from_the_resting_lengths():
+def test_error_on_closed_brakes_counts_from_the_resting_leg_lengths():
     t = run(Mode.UNLOADING, reacts=20, drift=1e-4)
     off = t._replace(desired=t.desired + 0.3)
     assert see("encoder_jump", off).error_m == pytest.approx(21e-4)
@@ -97,7 +97,7 @@ def test_motion_of_a_healthy_leg_counts_as_error_not_as_faulty_motion():
 
 
 @pytest.mark.parametrize(("speed_m_s", "good"), [(0.019, False), (0.021, True)])
-def test_a_brake_fault_in_motion_may_travel_the_stopping_distance(speed_m_s, good):
+def test_fault_case_of_a_brake_in_motion_may_travel_the_stopping_distance(speed_m_s, good):
     t = shaped("brake_stuck_closed", reacts=5, after=40e-3)
     length = t.length.copy()
     length[: BEGUN + 5] -= 1e-3 * speed_m_s
@@ -109,7 +109,7 @@ def test_a_brake_fault_in_motion_may_travel_the_stopping_distance(speed_m_s, goo
     ("ending", "after_mm", "good"),
     [(Mode.PARKING, 51, False), (Mode.STOPPING, 51, True), (Mode.STOPPING, 81, False)],
 )
-def test_a_controlled_stop_may_travel_its_own_stopping_distance(ending, after_mm, good):
+def test_fault_case_with_a_controlled_stop_may_travel_its_own_stopping_distance(ending, after_mm, good):
     t = shaped("drive_gain", reacts=5, after=1e-3 * after_mm, ending=ending)
     length = t.length.copy()
     length[: BEGUN + 5] -= 1e-3
@@ -117,7 +117,7 @@ def test_a_controlled_stop_may_travel_its_own_stopping_distance(ending, after_mm
 
 
 @pytest.mark.parametrize(("speed_m_s", "good"), [(1.01, True), (0.95, False)])
-def test_the_harmless_error_grows_with_the_speed_of_the_reference(speed_m_s, good):
+def test_allowed_error_of_an_undetected_fault_grows_with_the_speed_of_the_reference(speed_m_s, good):
     t = run(drift=0.098e-3)
     way = np.zeros((N, 6))
     way[:, 4] = 1e-3 * speed_m_s * np.minimum(np.arange(N), 299)
@@ -126,7 +126,7 @@ def test_the_harmless_error_grows_with_the_speed_of_the_reference(speed_m_s, goo
 
 @pytest.mark.parametrize(("ending", "ticks"), [(Mode.HELD, 1000), (Mode.FAULT, 100), (Mode.PARKED, 100)])
 @pytest.mark.parametrize(("creep_m", "good"), [(4.9e-5, True), (5.1e-5, False)])
-def test_a_platform_that_creeps_at_the_end_fails(ending, ticks, creep_m, good):
+def test_fault_case_fails_if_the_platform_creeps_at_the_end(ending, ticks, creep_m, good):
     t = shaped("drive_gain", reacts=10, ending=ending)
     length = t.length.copy()
     length[-1 - ticks :, 4] += np.linspace(0, creep_m, 1 + ticks)
@@ -134,7 +134,7 @@ def test_a_platform_that_creeps_at_the_end_fails(ending, ticks, creep_m, good):
     assert (found, "the platform moves at the end" in words) == (good, not good)
 
 
-def test_motion_before_the_last_second_does_not_fail_the_rest_check():
+def test_fault_case_does_not_fail_for_motion_before_its_last_second():
     t = shaped("drive_gain", reacts=10, ending=Mode.HELD)
     length = t.length.copy()
     length[:-1001, 4] -= 1e-3
@@ -199,7 +199,7 @@ CASES: list[tuple[str, dict[str, Any], bool, str]] = [
 
 
 @pytest.mark.parametrize(("kind", "shape", "good", "text"), CASES)
-def test_each_kind_passes_below_its_bound_and_fails_above_it(kind, shape, good, text):
+def test_fault_case_of_each_kind_passes_below_its_bound_and_fails_above_it(kind, shape, good, text):
     found, words = verdict(kind, shaped(kind, **shape))
     assert (found, text in words) == (good, True), words
 
@@ -227,17 +227,17 @@ NAMING: list[tuple[str, dict[str, set[int]], bool, str]] = [
 
 
 @pytest.mark.parametrize(("kind", "causes", "good", "text"), NAMING)
-def test_a_reaction_must_report_a_correct_cause_and_the_leg(kind, causes, good, text):
+def test_fault_case_passes_only_if_the_reaction_reports_an_expected_cause_and_leg(kind, causes, good, text):
     found, words = verdict(kind, run(reacts=1, causes=causes, ending=Mode.HELD))
     assert (found, text in words) == (good, True), words
 
 
-def test_a_fault_that_affects_no_single_leg_needs_no_leg_in_the_report():
+def test_fault_case_that_affects_no_single_leg_needs_no_leg_in_the_report():
     t = run(reacts=1, causes={"STALE": set()}, leg=None)
     assert verdict("frames_loss", t)[0]
 
 
-def test_an_exceeded_bound_and_a_missing_cause_are_both_reported():
+def test_fault_case_reports_both_an_exceeded_bound_and_a_missing_cause():
     _, words = verdict("drive_gain", run(reacts=9, after=51e-3, causes={"STALE": set()}))
     assert words.startswith("travelled 51 mm, allowed: 50 mm; the cause is missing: reported STALE")
 
@@ -254,7 +254,7 @@ def test_a_slow_loop_has_more_time_to_detect_a_frozen_encoder(rate_Hz, ticks, al
     assert f"allowed: 2.00 mm or {allowed_ms} ms" in verdict(kind, late)[1]
 
 
-def test_a_jump_is_detected_only_when_its_encoder_is_reported():
+def test_detection_time_of_an_encoder_jump_ends_when_that_encoder_is_reported():
     t = run(reacts=10, drift=1e-4, causes={"STROKE": {2}, "ENCODER": {2}})
     late = t.faults.copy()
     late[: BEGUN + 45] &= int(Fault.STROKE)
@@ -267,13 +267,13 @@ def test_a_jump_is_detected_only_when_its_encoder_is_reported():
 
 
 @pytest.mark.parametrize(("leg", "good"), [(2, True), (1, False)])
-def test_a_run_may_continue_without_the_failed_encoder(leg, good):
+def test_fault_case_may_continue_without_the_failed_encoder(leg, good):
     t = run()._replace(lost=frozenset({leg}))
     assert verdict("encoder_jump", t)[0] is good
     assert not verdict("encoder_jump", run(drift=1.01e-5)._replace(lost=frozenset({2})))[0]
 
 
-def test_a_fault_before_the_injected_one_fails_the_case():
+def test_fault_case_fails_if_another_fault_precedes_the_injected_one():
     t = run(reacts=10)
     early = t.faults.copy()
     early[BEGUN - 1 :] = int(Fault.ENCODER)
@@ -283,29 +283,29 @@ def test_a_fault_before_the_injected_one_fails_the_case():
     )
 
 
-def test_every_kind_of_the_matrix_has_expected_causes():
+def test_every_fault_kind_of_the_matrix_has_expected_causes():
     assert set(EXPECTED) == {name for name in FAULTS if not name.startswith("process")}
 
 
-def test_a_run_with_neither_reaction_nor_parking_fails():
+def test_fault_case_with_neither_reaction_nor_parking_fails():
     good, words = verdict("frames_loss", run()._replace(success=False))
     assert not good
     assert "not parked" in words
 
 
 @pytest.mark.parametrize("kind", ["plant_crash", "plant_nan", "plant_hang"])
-def test_a_failure_of_the_plant_passes_for_kinds_that_make_it_fail(kind):
+def test_fault_case_with_a_plant_failure_passes_for_fault_kinds_that_cause_it(kind):
     assert verdict(kind, run()._replace(failed="the plant crashed"))[0]
 
 
 @pytest.mark.parametrize("kind", ["encoder_jump", "drive_sign", "frames_loss", "wrench_step", "bus_off"])
-def test_a_failure_of_the_plant_fails_every_other_kind(kind):
+def test_fault_case_with_a_plant_failure_fails_for_every_other_fault_kind(kind):
     good, words = verdict(kind, run()._replace(failed="the plant crashed"))
     assert not good
     assert "the plant failed" in words
 
 
-def test_the_guide_lists_the_causes_of_every_kind():
+def test_fault_guide_lists_the_expected_causes_of_every_fault_kind():
     guide = (Path(__file__).parents[3] / "docs/guides/faults.md").read_text()
     rows = guide.partition("| kinds | a right cause is any of |")[2].partition("\n\n")[0].splitlines()[2:]
     named: dict[str, set[str]] = {}

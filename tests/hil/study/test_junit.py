@@ -10,7 +10,7 @@ from drivers.errors import LogError
 from hil.study.junit import Verdict, check_junit_path, write_junit
 
 
-def test_cases_with_any_characters_are_counted_and_parsed(tmp_path):
+def test_junit_report_with_any_characters_is_valid_xml_with_all_cases(tmp_path):
     path = tmp_path / "j.xml"
     cases = [
         Verdict("g", "good", output="fine", wall_s=1.25),
@@ -33,7 +33,7 @@ def test_cases_with_any_characters_are_counted_and_parsed(tmp_path):
     assert ET.parse(path).getroot().attrib == {"name": "none", "tests": "0", "failures": "0"}
 
 
-def test_only_an_earlier_report_may_be_replaced(tmp_path):
+def test_junit_report_replaces_only_an_earlier_junit_report(tmp_path):
     check_junit_path(tmp_path / "new.xml")
     write_junit(tmp_path / "old.xml", "old", [])
     check_junit_path(tmp_path / "old.xml")

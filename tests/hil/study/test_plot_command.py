@@ -46,7 +46,7 @@ def test_every_column_gives_one_curve_per_element_with_its_unit(name):
         assert signal.unit in column.unit
 
 
-def test_a_difference_is_computed_element_by_element():
+def test_plotted_difference_of_columns_is_computed_element_by_element():
     rows = np.zeros(2, ROW)
     rows["q_d"], rows["q"] = 3.0, np.arange(6.0)
     assert [curve.of(rows)[0] for curve in curves(RECORDED, "q_d - q")] == [3.0, 2.0, 1.0, 0.0, -1.0, -2.0]
@@ -92,7 +92,7 @@ def test_only_the_time_between_from_and_to_is_drawn(logs, tmp_path):
         plot(logs[:1], ("q",), out=tmp_path / "b.svg", start_s=1e3)
 
 
-def test_a_truncated_log_is_remarked_and_a_damaged_one_refused(logs, tmp_path, monkeypatch):
+def test_plot_of_a_truncated_log_has_a_remark_and_of_a_damaged_log_is_refused(logs, tmp_path, monkeypatch):
     monkeypatch.setattr("hil.study.plot.draw", lambda *_: None)
     whole = logs[1].read_bytes()
     cut, torn = tmp_path / "cut.mcap", tmp_path / "torn.mcap"
@@ -106,7 +106,7 @@ def test_a_truncated_log_is_remarked_and_a_damaged_one_refused(logs, tmp_path, m
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1.7e308, -1.7e308])
-def test_numbers_too_large_for_an_axis_leave_a_gap(tmp_path, value):
+def test_plotted_numbers_too_large_for_an_axis_leave_a_gap(tmp_path, value):
     values = np.array([0.0, 2.0, value, value, 3.0])
     curve = Curve("tau", 0, np.arange(5.0), values, "N", {}, flags=False)
     draw(["tau"], [[curve]], tmp_path / "a.svg", "a")

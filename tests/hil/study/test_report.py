@@ -40,7 +40,7 @@ def logs(tmp_path_factory):
 # -- the story -----------------------------------------------------------------------------------------------
 
 
-def test_the_page_begins_with_leg_value_limit_time_reaction_and_advice(logs, tmp_path):
+def test_report_begins_with_leg_value_limit_time_reaction_and_advice_of_the_fault(logs, tmp_path):
     out = tmp_path / "bad.html"
     summary = report(logs / "bad.mcap", out=out)
     assert summary["went_wrong"] == "latched fault ENCODER"
@@ -62,7 +62,7 @@ def test_the_page_begins_with_leg_value_limit_time_reaction_and_advice(logs, tmp
     assert "RUN" in opening
 
 
-def test_faults_come_from_the_rows_if_the_log_has_no_story():
+def test_faults_in_the_report_come_from_the_ticks_if_the_log_summary_lacks_a_fault_report():
     rows = rows_of(100)
     rows["mode"][40:], rows["faults"][40:] = Mode.FAULT, Fault.SPEED
     rows["faults"][70:] = Fault.SPEED | Fault.STALE
@@ -77,7 +77,7 @@ HUGE = int("7" * 400)
 
 
 @pytest.mark.parametrize("story", ["", "{", "[]", "7", '{"findings": 3}', '{"findings": [null]}', "[" * 9999])
-def test_a_story_in_an_unknown_form_is_ignored(story):
+def test_report_ignores_a_fault_report_of_unknown_form_in_the_log_summary(story):
     found = failure_of({SUMMARY: {"story": story}}, rows_of(5), RATE_Hz)
     assert "<" in sections.what_went_wrong(found)
 
@@ -86,7 +86,7 @@ def test_a_story_in_an_unknown_form_is_ignored(story):
     "number", [HUGE, 1.7e308, 1e-320, 2**63, -1, True, "7" * 400, None, [HUGE], {"a": HUGE}]
 )
 @pytest.mark.parametrize("name", ["time_s", "value", "limit", "leg", "mode", "fault", "text", "unit"])
-def test_any_number_in_a_finding_is_handled(name, number):
+def test_report_handles_any_number_in_a_fault_finding(name, number):
     """A number that no field can hold invalidates the story; then the rows count, here without fault."""
     finding = {"fault": "STALE", "time_s": 0.003, "unit": "m"} | {name: number}
     story = json.dumps({"findings": [finding], "lines": ["done: stopped"]})
@@ -95,7 +95,7 @@ def test_any_number_in_a_finding_is_handled(name, number):
     assert "<" in sections.what_went_wrong(found)
 
 
-def test_texts_of_a_log_are_escaped_everywhere():
+def test_texts_of_a_log_are_escaped_everywhere_in_the_report():
     finding = dict.fromkeys(("fault", "mode", "value", "limit", "unit", "limit_key", "text"), HOSTILE)
     lines = [f"{key}: {HOSTILE}" for key in ("next", "done", "drives", "in the end")]
     story = json.dumps({"findings": [finding], "lines": lines})
@@ -152,7 +152,7 @@ def test_a_damaged_log_is_refused_with_the_command_that_salvages_it(logs, tmp_pa
 
 
 @pytest.mark.parametrize("said", ["0", "-1", "nan", "inf", "100001", "fast", "9" * 400])
-def test_an_impossible_loop_rate_is_refused(tmp_path, said):
+def test_report_of_a_log_with_an_impossible_loop_rate_is_refused(tmp_path, said):
     path = tmp_path / "a.mcap"
     options = {"kind": "sim", "rate_Hz": said}
     with Recording.start(path, configuration="", lockstep=True, metadata=options) as recording:

@@ -175,7 +175,7 @@ def test_percentiles_cover_all_ticks():
     rows["compute_ns"][0] = 10**9
     found = dict(spreads(rows, np.full(1001, np.nan)))
     assert found["wake-up, late by"] == pytest.approx((500e3, 990e3, 999e3, 1000e3))
-    assert set(found["computing of a tick"]) == {2000.0}, "the first tick has none before it"
+    assert set(found["computing of a tick"]) == {2000.0}, "the first tick has no computing time before it"
     assert "last feedback after the tick's start" not in found
     log: Any = SimpleNamespace(lockstep=False, metadata={})
     made = sections.timing(log, spreads(rows, np.full(1001, np.nan)), [], [])
@@ -194,7 +194,7 @@ def test_late_ticks_and_missing_ticks_are_counted():
     assert [n for _, n in counts(rows)] == [2, 5]
 
 
-def test_the_margin_is_the_limit_minus_the_value():
+def test_margin_in_a_report_is_the_limit_minus_the_value():
     found = Margin("leg rate", "limits.speed_m_s", 0.5, 2.0, "m/s", 3, 4)
     made = sections.limits([found], np.linspace(0.0, 0.9, 10), "")
     assert cells(made)[1][2:] == ["0.5 m/s", "2 m/s", "1.5 m/s", "4", "0.300", "limits.speed_m_s"]
@@ -221,7 +221,7 @@ def test_the_load_of_each_bus_follows_from_its_own_bit_rate():
 
 
 @pytest.mark.parametrize("at", [0, 1, 4999, 12345, 99_998, 99_999])
-def test_thinning_keeps_a_peak_of_one_sample_and_its_place(at):
+def test_thinning_of_a_chart_keeps_a_peak_of_one_sample_and_its_time(at):
     t = np.linspace(0.0, 99.999, 100_000)
     y, z = np.sin(t), np.full(100_000, np.nan)
     y[at], z[at] = 50.0, -7.0

@@ -65,7 +65,7 @@ def test_a_margin_has_leg_time_value_and_limit_in_both_directions(column, key, l
     assert (found.limit, found.used_percent) == (0.5, pytest.approx(80.0))
 
 
-def test_ticks_in_which_a_rule_does_not_apply_give_no_margin():
+def test_ticks_in_which_a_safety_rule_does_not_apply_give_no_margin():
     rows = rows_of(100)
     rows["dq"][70:, 0], rows["dq"][10, 1] = 1.9, 0.5
     rows["mode"][70:] = Mode.FAULT
@@ -162,7 +162,7 @@ def test_the_force_window_is_a_time_even_if_ticks_are_missing():
     assert margin(rows, "limits.force_window_N").value == 90.0, "500 lost ticks are longer than 250 ms"
 
 
-def test_the_certificate_margin_counts_lasting_values_not_single_ticks():
+def test_margin_of_the_lyapunov_certificate_counts_values_that_last_three_ticks():
     assert load("virtual").monitor.confirm_ticks == 3
     rows = rows_of(60, lyapunov_share=0.1)
     rows["lyapunov_share"][:3] = np.nan
@@ -172,7 +172,7 @@ def test_the_certificate_margin_counts_lasting_values_not_single_ticks():
     assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor"]
 
 
-def test_the_encoder_margin_has_its_leg_and_also_counts_at_rest():
+def test_margin_of_the_encoder_check_has_its_leg_and_also_counts_at_rest():
     rows = rows_of(40, encoder_share=np.nan)
     assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor.length_noise_m"]
     rows["encoder_share"][:] = 0.25
@@ -198,7 +198,7 @@ def test_the_uncertainty_of_a_fused_position_covers_all_three_directions():
     assert (found.row, found.value, found.used_percent) == (12, pytest.approx(3e-3), pytest.approx(50.0))
 
 
-def test_a_lost_encoder_counts_the_time_without_the_tracker():
+def test_margin_with_a_lost_encoder_is_the_longest_time_without_the_tracker():
     rows = rows_of(100)
     rows["tracker"][[20, 60]] = 1
     rows["tracker"][30] = -1
@@ -206,9 +206,7 @@ def test_a_lost_encoder_counts_the_time_without_the_tracker():
     found = margin(rows, "", "tracker", fused(), 250.0)
     assert (found.row, found.value) == (59, pytest.approx(39 / 250.0))
     rows["legs_lost"][40:90] = 1 << 2
-    assert margin(rows, "", "tracker", fused()).value == 0.0, (
-        "leg 2 may not be lost: its own fault comes first"
-    )
+    assert margin(rows, "", "tracker", fused()).value == 0.0, "leg 2 may not be lost and faults as stale"
 
 
 @pytest.mark.parametrize(
@@ -222,7 +220,7 @@ def test_a_lost_encoder_counts_the_time_without_the_tracker():
     ],
     ids=["may be lost", "may not", "too many", "proves a brake", "was the fault"],
 )
-def test_the_age_of_a_leg_that_may_be_lost_gives_no_margin(lost, mode, faults, age):
+def test_feedback_age_of_a_leg_that_may_be_lost_gives_no_margin(lost, mode, faults, age):
     rows = rows_of(30)
     rows["age"][10, 0] = 2
     rows["age"][20] = [900 * (lost >> leg & 1) for leg in range(6)]
@@ -231,7 +229,7 @@ def test_the_age_of_a_leg_that_may_be_lost_gives_no_margin(lost, mode, faults, a
     assert margin(rows, "limits.stale_fault_ticks", c=fused()).value == age
 
 
-def test_slip_of_an_encoder_counts_three_ticks_in_a_row():
+def test_margin_of_encoder_slip_counts_deviations_that_last_three_ticks():
     rows = rows_of(60, legs_used=0b111111)
     rows["innovation_q"][5] = 1.0
     rows["legs_used"][20:22] = rows["legs_used"][30:] = 0b011111
@@ -245,7 +243,7 @@ def test_slip_of_an_encoder_counts_three_ticks_in_a_row():
 @pytest.mark.parametrize(
     ("of_controller", "key"), [(25000.0, "limits.force_N"), (40000.0, "drives.force_limit_N")]
 )
-def test_the_smaller_of_both_force_limits_counts(of_controller, key):
+def test_margin_of_the_force_is_to_the_smaller_of_both_force_limits(of_controller, key):
     rows = rows_of(9)
     rows["tau"][3, 2] = -5000.0
     assert margin(rows, key, c=limited(force_N=of_controller)).limit == min(of_controller, 30000.0)
@@ -259,7 +257,7 @@ def test_a_leg_length_counts_from_mid_stroke_to_the_nearer_end():
     assert found.used_percent == pytest.approx(100 * 0.675 / 0.725)
 
 
-def test_the_nearest_limit_comes_first():
+def test_margins_are_listed_with_the_nearest_limit_first():
     rows = rows_of(5000)
     rows["stretched_ns"][[1000, 3000]] = 400_000_000, 3_000_000
     used = [m.used_percent for m in margins(rows, load("virtual"), RATE_Hz)]

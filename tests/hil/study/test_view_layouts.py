@@ -104,7 +104,7 @@ def test_each_state_of_the_foxglove_layout_has_names_in_the_log(path):
     lanes = {p["value"] for name, c in panels.items() if name.startswith("StateT") for p in c["paths"]}
     assert {resolve(found, value) for value in lanes} == {ENUM, BOOL}
     named = {c.name for c in TICKS.columns if c.names}
-    assert {value.split(".")[1] for value in lanes} == named, "all that has names is somewhere"
+    assert {value.split(".")[1] for value in lanes} == named, "the layout has every column of named values"
     assert {"/tick.mode", "/tick.drive_state.leg_5", "/tick.faults.STALE"} <= lanes
 
 
@@ -186,7 +186,9 @@ def hil(*words):
         ("foxglove", "foxglove-studio", "-foxglove.json", "{log}"),
     ],
 )
-def test_the_viewer_is_started_with_its_file(path, tmp_path, monkeypatch, viewer, program, suffix, words):
+def test_hil_view_starts_the_viewer_with_its_file(
+    path, tmp_path, monkeypatch, viewer, program, suffix, words
+):
     told = tmp_path / "told"
     fake = tmp_path / program
     fake.write_text(f'#!/bin/sh\nprintf %s "$*" > {told}\n')
@@ -214,7 +216,7 @@ def test_a_viewer_that_fails_or_is_missing_is_reported(path, tmp_path, monkeypat
     assert (done.exit_code, "exit code 3" in done.output) == (1, True)
 
 
-def test_without_rerun_the_message_says_what_to_install(path, tmp_path, monkeypatch):
+def test_hil_view_without_rerun_reports_the_package_to_install(path, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     done = hil("view", path, "--out", tmp_path / "a.rrd")
     assert (done.exit_code, "hexapod-hil[viewers]" in done.output) == (2, True)

@@ -111,8 +111,8 @@ def test_the_platform_moves_as_in_the_log(query, rows):
         x, y, z, w = turned[tick][0]
         third = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
         np.testing.assert_allclose(third, by_tick[tick]["R"][:, 2], atol=1e-6)
-    assert np.ptp([p[0][2] for p in pose.values()]) > 1e-3, "it has to move"
-    assert query("/robot/platform", "LineStrips3D:strips"), "and there has to be something that moves"
+    assert np.ptp([p[0][2] for p in pose.values()]) > 1e-3, "the platform must move in the recorded run"
+    assert query("/robot/platform", "LineStrips3D:strips"), "the recording has the lines of the platform"
 
 
 @pytest.mark.long

@@ -25,7 +25,7 @@ class Work(list):  # type: ignore[type-arg]
             yield job
 
 
-def test_a_dead_process_repeats_few_jobs_and_jobs_are_made_only_when_due():
+def test_death_of_a_worker_process_repeats_few_jobs_and_jobs_are_created_only_when_due():
     work = Work([os.getpid] * 40)
     work[5] = partial(os._exit, 1)
     outcomes = perform(work, call, lambda _: "died", 2, None)

@@ -69,17 +69,17 @@ def static_forces(platform, p, R, payload=0.0, at=(0.0, 0.0, 0.0)):
     return np.linalg.solve(jacobian(platform, p, R).T, np.concatenate([up + load, moment]))
 
 
-def test_the_volume_of_half_a_lens_agrees_with_the_closed_form(half_lens):
+def test_workspace_volume_of_half_a_lens_of_two_spheres_agrees_with_the_closed_form(half_lens):
     assert half_lens.volume == pytest.approx(HALF_LENS, rel=1e-2)
     assert abs(half_lens.volume - HALF_LENS) <= half_lens.volume_error
 
 
-def test_the_extents_of_half_a_lens_agree_with_the_closed_form(half_lens):
+def test_workspace_extents_of_half_a_lens_of_two_spheres_agree_with_the_closed_form(half_lens):
     rim = np.sqrt(REACH**2 - D**2)
     assert half_lens.extents == pytest.approx(np.array([[D - 1, 1 - D], [-rim, rim], [0, rim]]), abs=5e-3)
 
 
-def test_poses_beyond_a_singularity_are_not_reached(pairs, half_lens):
+def test_workspace_map_does_not_continue_beyond_a_singularity(pairs, half_lens):
     mirrored = half_lens.nodes * [1, 1, -1]
     q = lengths(pairs.platform, mirrored)
     assert ((q > 1e-3) & (q < REACH)).all()
@@ -119,7 +119,7 @@ def boundary(surveyor, kind, resolution=12):
     return met
 
 
-def test_the_volume_of_six_shells_agrees_with_quasi_monte_carlo():
+def test_workspace_volume_of_six_shells_agrees_with_quasi_monte_carlo():
     low, high = 1.1, 1.9
     surveyor = book(Limits(low, high))
     mapped = map_positions(surveyor, 40)
@@ -155,7 +155,7 @@ def test_torsion_and_tilt_of_the_book_platform_agree_with_closed_forms(turn):
     assert found.torsion[[0, -1]] == pytest.approx([-angle - turn, angle - turn], abs=1e-9)
     assert [KINDS[k] for k in found.torsion_kinds] == ["stroke", "stroke"]
     if not turn:
-        assert found.level[18] == pytest.approx(angle, abs=1e-9), "towards 90 degrees"
+        assert found.level[18] == pytest.approx(angle, abs=1e-9), "tilt towards an azimuth of 90 degrees"
         assert found.guaranteed[0] == pytest.approx(0, abs=1e-6)
 
 
@@ -193,7 +193,7 @@ def test_platform_joint_axes_rotate_with_the_platform():
     assert np.arccos((s * (home @ R.T)).sum(axis=1)).max() == pytest.approx(limit, abs=1e-8)
 
 
-def test_dexterity_agrees_with_numpy():
+def test_workspace_dexterity_agrees_with_numpy():
     surveyor = book(Limits(0.3, 3.0))
     rng = np.random.default_rng(3)
     P = HOME + rng.uniform(-0.3, 0.3, (40, 3))
@@ -206,7 +206,7 @@ def test_dexterity_agrees_with_numpy():
         assert least[k] == pytest.approx(1 / np.linalg.norm(np.linalg.inv(J), 2), rel=1e-9)
 
 
-def test_the_singularity_boundary_is_the_controllers_condition_limit():
+def test_workspace_boundary_at_singularities_is_the_configured_condition_limit():
     surveyor = book(Limits(0.3, 3.0, condition=6.0))
     met = boundary(surveyor, "singularity")
     numbers = np.array([np.linalg.cond(jacobian(surveyor.platform, p, UPRIGHT)) for p in met])

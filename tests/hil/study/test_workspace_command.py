@@ -37,7 +37,7 @@ def mapped(tmp_path_factory):
     return folder, result.output
 
 
-def test_json_file_and_summary_have_all_figures(mapped):
+def test_hil_workspace_prints_all_figures_and_writes_them_to_json(mapped):
     folder, output = mapped
     summary = json.loads((folder / "lab.json").read_text())
     assert summary["success"]
@@ -71,7 +71,7 @@ def test_json_file_and_summary_have_all_figures(mapped):
     assert summary["limits"]["base_joint_angle_deg"] is None
 
 
-def test_the_map_respects_the_joint_angles_of_the_configuration():
+def test_workspace_map_respects_the_joint_angle_limits_of_the_configuration():
     more = "  base_joint_angle_max_deg: 8\n  platform_joint_angle_max_deg: 100\n"
     c = loads(edited((ANGLES, ANGLES + more)), "my.yaml")
     surveyor = build_surveyor(c)

@@ -24,7 +24,7 @@ def matrix(K_P, K_D):
 
 
 @axes
-def test_no_other_alpha_gives_a_smaller_bound(K_P, K_D):
+def test_chosen_decay_rate_alpha_gives_the_smallest_error_bound(K_P, K_D):
     def size(alpha):
         W = solve_continuous_lyapunov(matrix(K_P, K_D) + alpha * np.eye(2), -B @ B.T / (2 * alpha))
         return np.log(W[0, 0])
@@ -37,24 +37,24 @@ def test_no_other_alpha_gives_a_smaller_bound(K_P, K_D):
     assert np.log(np.linalg.inv(certificate(K_P, K_D).P[0])[0, 0]) <= best.fun + 1e-9
 
 
-def test_the_bound_of_critical_damping_in_closed_form():
+def test_error_bound_at_critical_damping_agrees_with_the_closed_form():
     found = certificate(20.0**2, 2 * 20.0)
     np.testing.assert_allclose(found.alpha, 5.0, rtol=1e-12)
     np.testing.assert_allclose(np.linalg.inv(found.P)[:, 0, 0], 32 / 27 / 20.0**4, rtol=1e-11)
 
 
 @axes
-def test_V_decreases_as_certified_under_every_disturbance(K_P, K_D):
+def test_lyapunov_function_decreases_as_certified_under_every_bounded_disturbance(K_P, K_D):
     """dV/dt + 2 alpha (V - d^2) is a quadratic form in e, de and d; its largest eigenvalue is zero."""
     found = certificate(K_P, K_D)
     A, P, alpha = matrix(K_P, K_D), found.P[0], found.alpha[0]
     form = np.block([[A.T @ P + P @ A + 2 * alpha * P, P @ B], [B.T @ P, np.array([[-2 * alpha]])]])
     scale = np.diag([1 / K_P, 1 / np.sqrt(K_P), 1.0])
     eigenvalues = np.linalg.eigvalsh(scale @ form @ scale)
-    assert abs(eigenvalues.max()) <= 1e-9 * np.abs(eigenvalues).max(), "one is zero: nothing is given away"
+    assert abs(eigenvalues.max()) <= 1e-9 * np.abs(eigenvalues).max(), "largest one is 0: the bound is tight"
 
 
-def test_an_unstable_axis_has_no_certificate():
+def test_unstable_axis_has_no_lyapunov_certificate():
     with pytest.raises(ModelError, match="both above 0"):
         certificate(1.0, -1.0)
 
@@ -86,7 +86,7 @@ def largest(d, gamma=1.0):
     return d * float(np.trapezoid(np.abs(h), t))
 
 
-def test_with_an_exact_model_the_gain_must_exceed_the_disturbance():
+def test_sliding_mode_with_an_exact_model_needs_a_gain_above_the_disturbance():
     for d in (7.9, 8.1):
         found = sliding(SLOPE, K, PHI, gamma=1.0, alpha=0.0, d=d, inside=largest(d))
         assert found.covered is (d < K)
@@ -94,7 +94,7 @@ def test_with_an_exact_model_the_gain_must_exceed_the_disturbance():
         assert found.room == np.inf
 
 
-def test_the_reaching_time_holds_for_a_disturbance_away_from_the_layer():
+def test_reaching_time_of_sliding_mode_holds_for_a_disturbance_away_from_the_layer():
     d, s0 = 6.0, 2.0
     found = sliding(SLOPE, K, PHI, gamma=1.0, alpha=0.0, d=d, inside=largest(d))
 
@@ -111,7 +111,7 @@ def test_the_reaching_time_holds_for_a_disturbance_away_from_the_layer():
     assert found.time_s(0.5 * PHI) == 0.0
 
 
-def test_a_model_that_is_too_light_needs_more_gain():
+def test_sliding_mode_with_a_too_light_model_needs_more_gain():
     """gamma = 0.8 also weakens the linear part of the law: a disturbance below gamma k may leave the layer."""
     assert sliding(SLOPE, K, PHI, gamma=0.8, alpha=0.2, d=5.0, inside=largest(5.0, 0.8)).covered
     d = 0.8 * K - 1e-3
@@ -121,7 +121,7 @@ def test_a_model_that_is_too_light_needs_more_gain():
 
 
 @pytest.mark.parametrize("gamma_matrix", [[[1.2, 0.2], [0.2, 1.2]], [[0.8, -0.1], [-0.1, 0.8]]])
-def test_legs_at_the_error_limit_reach_the_layer_at_half_the_surplus(gamma_matrix):
+def test_coupled_legs_at_the_error_limit_approach_the_sliding_layer_at_half_the_surplus(gamma_matrix):
     """Largest d|s|/dt of one of two coupled legs, over all signs of the other's correction, of rates and disturbance."""
     G, d = np.array(gamma_matrix), 2.0
     rest = abs(G[0, 1])
@@ -137,7 +137,7 @@ def test_legs_at_the_error_limit_reach_the_layer_at_half_the_surplus(gamma_matri
     assert worst == pytest.approx(-0.5 * found.surplus)
 
 
-def test_redesign_reaches_its_layer_with_rho_equal_to_the_disturbance():
+def test_lyapunov_redesign_reaches_its_layer_with_rho_equal_to_the_disturbance():
     """The linear part remains as surplus: dy/dt = -wn y at the edge of the layer, at damping ratio 1."""
     w_n, rho, epsilon = 20.0, 5.0, 0.2
     inside = rho / (w_n + rho / epsilon)

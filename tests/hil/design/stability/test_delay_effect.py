@@ -73,7 +73,7 @@ def wave(hertz):
 @pytest.mark.parametrize(
     "force", [step, wave(1.0), wave(5.0), wave(20.0)], ids=["jump", "1 Hz", "5 Hz", "20 Hz"]
 )
-def test_delay_effect_matches_integration_in_small_steps(force):
+def test_tracking_error_from_delay_matches_integration_in_small_steps(force):
     found, _ = cost(force, (0.0, 0.7))
     worst = np.max(
         [integrated(force, 1.0, phase * AXIS.period_s) for phase in (0.0, 0.25, 0.5, 0.75)], axis=0
@@ -82,7 +82,7 @@ def test_delay_effect_matches_integration_in_small_steps(force):
     assert found.rate == pytest.approx(worst[1], rel=0.02)
 
 
-def test_the_response_to_a_jump_continues_across_blocks():
+def test_tracking_error_from_delay_after_a_force_jump_continues_across_blocks():
     """The same jump 9.744 s later, 6 ms before the end of the first 10 s block, at the same phase."""
     early, _ = cost(step, (0.0, 1.0))
     late_in_the_block, _ = cost(lambda t: step(t - 9.744), (0.0, 10.5))
@@ -93,6 +93,6 @@ def test_the_response_to_a_jump_continues_across_blocks():
 @pytest.mark.parametrize(
     ("ahead_ms", "stale_ms"), [(0.0, 4.1), (1.3, 2.8), (2.0, 2.1), (2.8, 1.5), (4.1, 2.8), (10.0, 8.7)]
 )
-def test_the_age_of_a_force_is_its_largest_time_difference(ahead_ms, stale_ms):
+def test_age_of_a_predicted_force_is_its_largest_time_error_while_it_acts(ahead_ms, stale_ms):
     """Forces act from 1.3 ms after the measurement for 2 ms, with 0.8 ms of lag; too much prediction is as bad as none."""
     assert stale_s(AXIS, 1e-3 * ahead_ms) == pytest.approx(1e-3 * stale_ms)

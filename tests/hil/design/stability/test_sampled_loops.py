@@ -29,7 +29,7 @@ def margins_of(axis, controller):
     return margins
 
 
-def test_a_double_integrator_under_pd_has_the_eigenvalues_of_its_polynomial():
+def test_double_integrator_under_sampled_pd_has_the_roots_of_its_polynomial():
     """z^2 - (2 - K_D T - K_P T^2 / 2) z + 1 - K_D T + K_P T^2 / 2, from [1 T; 0 1] - [T^2/2; T] [K_P K_D]."""
     K_P, K_D = 400.0, 40.0
     found = analyse(Axis(T), gains(K_P, K_D, T))
@@ -53,7 +53,7 @@ def test_the_upper_gain_margin_matches_jurys_criterion(K_D):
     ("transport", "lag"), [(0.0, 0.0), (0.4e-3, 0.0), (0.5e-3, 1 / 1257), (2.3e-3, 0.8e-3)]
 )
 @pytest.mark.parametrize("w_n", [20.0, 90.0])
-def test_at_the_delay_margin_the_eigenvalues_leave_the_unit_circle(transport, lag, w_n):
+def test_delay_equal_to_the_delay_margin_puts_eigenvalues_on_the_unit_circle(transport, lag, w_n):
     controller = gains(w_n**2, 2 * w_n, T)
     margin = margins_of(Axis(T, transport, lag), controller).delay_s
 
@@ -65,7 +65,7 @@ def test_at_the_delay_margin_the_eigenvalues_leave_the_unit_circle(transport, la
     assert limit == pytest.approx(margin, rel=4e-3), "a delay within a period is no pure phase to a hold"
 
 
-def test_a_delay_within_a_period_is_exact():
+def test_response_of_a_sampled_axis_with_a_fractional_delay_is_exact():
     """Response to one period of u from rest: position of a delayed double integrator with lag, by SciPy."""
     axis = Axis(T, 1.3e-3, 0.8e-3, 0.9)
     system = disturbed_axis(axis)
@@ -83,7 +83,7 @@ def test_a_delay_within_a_period_is_exact():
     np.testing.assert_allclose(np.array(found), solution.y[:2].T, atol=2e-9)
 
 
-def test_too_much_gain_is_unstable_and_has_no_margins():
+def test_sampled_loop_with_too_much_gain_is_unstable_and_has_no_margins():
     found = analyse(Axis(T, 0.5e-3, 1 / 1257), gains(500.0**2, 1000.0, T))
     assert not found.stable
     assert found.margins is None
@@ -91,7 +91,7 @@ def test_too_much_gain_is_unstable_and_has_no_margins():
     assert np.isinf(found.peak_gains()[0])
 
 
-def test_the_peak_gain_is_the_compliance_and_grows_with_the_delay():
+def test_peak_gain_of_pd_is_its_compliance_and_grows_with_the_delay():
     assert analyse(Axis(T), gains(400.0, 40.0, T)).peak_gains()[0] == pytest.approx(1 / 400.0, rel=1e-3)
     assert analyse(Axis(T, 12e-3), gains(1600.0, 80.0, T)).peak_gains()[0] > 1.05 / 1600.0
 
@@ -139,12 +139,12 @@ def springs(mobility, K_p, K_v, own=0.0, K_i=0.0):
     return Springs(mobility, law, damping, own, integral)
 
 
-def test_with_equal_gains_the_slowest_mode_of_the_inertia_decides():
+def test_growth_of_coupled_legs_with_equal_pd_gains_is_that_of_their_worst_mode():
     modes = [np.abs(analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).poles).max() for m in MASSES]
     assert springs(MOBILITY, 1e6, 2e4).growth(AXIS) == pytest.approx(max(modes), abs=1e-9)
 
 
-def test_the_delay_margin_is_the_smallest_over_the_modes():
+def test_delay_margin_of_coupled_legs_is_the_smallest_over_their_modes():
     found = [analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).margins for m in MASSES]
     least = min(m.delay_s for m in found if m is not None)
     assert springs(MOBILITY, 1e6, 2e4).margins(AXIS)[0] == pytest.approx(least, rel=0.01)

@@ -31,7 +31,7 @@ def test_mu_of_the_textbook_matrix_is_3_and_its_singular_value_sqrt_10():
     assert bound(M, [SCALAR, SCALAR]) == pytest.approx(3.0, rel=1e-6)
 
 
-def test_mu_of_a_dyad_is_the_sum_of_the_products():
+def test_mu_of_a_rank_one_matrix_is_the_sum_of_the_products():
     """M = a b': det(I - M Delta) = 1 - sum a_i b_i delta_i, so mu = sum |a_i b_i|."""
     a, b = np.array([3.0, -0.2, 0.7]), np.array([0.1, 5.0, 2.0])
     M, mu = np.outer(a, b), np.abs(a * b).sum()
@@ -39,7 +39,7 @@ def test_mu_of_a_dyad_is_the_sum_of_the_products():
     assert mu < 0.5 * np.linalg.norm(M, 2)
 
 
-def test_the_scales_prove_the_bound_and_no_perturbation_exceeds_it():
+def test_mu_upper_bound_is_proven_by_its_scales_and_exceeded_by_no_perturbation():
     M = samples(30, 5, 6)
     upper = upper_bound(M, BLOCKS)
     left = np.repeat(upper.D, [1, 1, 1, 2], axis=1)
@@ -57,7 +57,7 @@ def test_the_scales_prove_the_bound_and_no_perturbation_exceeds_it():
     assert (largest > 0.3 * upper.bound).all()
 
 
-def test_the_bound_is_as_tight_as_slicots():
+def test_mu_upper_bound_is_as_tight_as_that_of_slicot():
     slycot = pytest.importorskip("slycot")
     M = samples(40, 5, 5, seed=3)
     reference = [slycot.ab13md(m, np.array([1, 1, 1, 2]), np.array([2, 2, 2, 2]))[0] for m in M]
@@ -66,6 +66,6 @@ def test_the_bound_is_as_tight_as_slicots():
     assert (found <= np.array(reference) * (1 + 1e-3)).all()
 
 
-def test_blocks_that_do_not_fit_the_matrix_are_refused():
+def test_mu_blocks_that_do_not_fit_the_matrix_are_refused():
     with pytest.raises(ModelError, match="blocks for a matrix of 1 x 1, given 2 x 2"):
         upper_bound(one(np.eye(2)), [SCALAR])

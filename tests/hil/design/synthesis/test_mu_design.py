@@ -63,7 +63,7 @@ def test_hil_design_reproduces_the_shipped_mu_controller(made):
     assert made[0].design["uncertainty"] == shipped().design["uncertainty"]
 
 
-def test_mu_on_a_dense_grid_is_below_1_and_matches_the_file(made):
+def test_mu_of_the_shipped_design_on_a_dense_grid_is_below_1_and_matches_its_file(made):
     controller, designed, _ = made
     problem = structured_plant(DESIGN, AXIS, RANGES)
     M = problem.plant.closed_with(designed.K)
@@ -73,7 +73,7 @@ def test_mu_on_a_dense_grid_is_below_1_and_matches_the_file(made):
     assert bound.max() == pytest.approx(controller.design["mu_upper"], rel=2e-3)
 
 
-def test_the_weights_cover_every_delay_and_lag_of_the_ranges():
+def test_uncertainty_weights_of_a_mu_design_cover_every_delay_and_lag_in_range():
     """|real / nominal - 1| <= |W|, with delay, hold, lag and Pade approximation written out."""
     omega = np.geomspace(0.5, 3e4, 700)
     s = 1j * omega
@@ -131,7 +131,7 @@ def weighted_loop(G, k, omega):
     return np.stack(rows, -2) * inputs
 
 
-def test_a_thousand_exact_axes_are_stable_and_meet_all_weights():
+def test_shipped_mu_controller_stabilises_a_thousand_axes_in_range_and_meets_all_weights():
     """Inertia, delay and lag at random and at all corners; exact delay, lag, hold; the sampled controller."""
     rng = np.random.default_rng(5)
     corners = np.array(np.meshgrid([-1, 1], [0.5e-3, 2e-3], [120, 300])).reshape(3, -1)
@@ -150,7 +150,7 @@ def test_a_thousand_exact_axes_are_stable_and_meet_all_weights():
     assert gain.max() > 0.9, "the bound is not met by a loop that does nothing"
 
 
-def test_a_disturbance_step_moves_every_axis_by_less_than_2_mm():
+def test_disturbance_step_under_the_mu_controller_moves_every_axis_by_less_than_2_mm():
     """Weights bound the response in frequency; in time it meets the platform's limits: 2 mm, 50 um after 0.3 s."""
     delta, T, bandwidth = np.array(np.meshgrid([-1, 0, 1], [0.5e-3, 1.25e-3, 2e-3], [120, 300])).reshape(
         3, -1

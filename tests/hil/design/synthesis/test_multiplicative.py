@@ -45,7 +45,7 @@ def profile(*points, flat=FLAT):
     return Relative(2 * np.pi * hertz, bound, flat)
 
 
-def test_the_common_bound_covers_every_axis_within_its_own_bound(file):
+def test_common_uncertainty_bound_covers_every_measured_axis_with_its_own_uncertainty(file):
     model = read_section(file, AxisModel)[0]
     found = relative(model, 1.0)
     circle = np.exp(2j * np.pi * np.arange(720) / 720)
@@ -86,7 +86,7 @@ def test_mu_design_treats_measured_uncertainty_as_a_separate_block():
     assert margin(measured, loop(made, axis, modest), RATE_HZ).norm < 1
 
 
-def test_the_report_states_the_margin_to_measured_axes(file):
+def test_design_report_states_the_robustness_margin_to_measured_axes(file):
     axis, measured = axis_of(load_design("hinf")[0], file.parent, file)
     assert measured is not None
     assert axis.gain == pytest.approx(1.0, abs=0.01)
@@ -99,7 +99,7 @@ def test_the_report_states_the_margin_to_measured_axes(file):
     assert f"{again.norm:.3f}, nearest to 1 at {hertz:.3g} Hz" in line
 
 
-def test_measured_axes_beyond_every_loop_of_the_design_are_refused(file):
+def test_design_for_measured_axes_too_uncertain_for_any_loop_is_refused(file):
     file.write_text((AXES + 6 * ONE).replace("[0.045, 0.01, 0.03, 0.09]", "[0.045, 1.3, 1.5, 3.0]"))
     with pytest.raises(
         SynthesisError, match=r"gamma is .* allowed: below 1|differ from the nominal one by more"
@@ -111,6 +111,6 @@ def test_measured_axes_beyond_every_loop_of_the_design_are_refused(file):
     ("robot", "says"),
     [("bench", "six uncoupled legs"), ("vcan50", "loop.rate_Hz: 50, allowed: as in the design, 1000")],
 )
-def test_a_robot_configuration_with_another_loop_is_refused(robot, says):
+def test_design_for_a_robot_configuration_with_another_loop_is_refused(robot, says):
     with pytest.raises(ConfigurationError, match=says):
         run_design("hinf", "hinf", None, lambda _: None, robot)

@@ -19,7 +19,7 @@ INPUTS = ["error", "rate_error"]
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
-def test_pade_delays_and_does_not_amplify(order):
+def test_pade_approximation_delays_and_does_not_amplify(order):
     T = 2e-3
     omega = np.array([0.0, 10.0, 400.0])
     found = pade(T, order).response(omega)[:, 0, 0]
@@ -54,7 +54,7 @@ def test_the_step_response_of_the_sampled_axis_has_its_closed_form(transport_ms,
 
 
 @pytest.mark.parametrize("zeta", [0.001, 0.1, 0.5])
-def test_the_norm_of_a_resonance_has_its_closed_form(zeta):
+def test_hinf_norm_of_a_resonance_has_its_closed_form(zeta):
     system = LinearSystem(
         np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]]),
         np.array([[0.0], [1.0]]),
@@ -78,14 +78,14 @@ def random(seed, period_s=None):
 
 @pytest.mark.parametrize("period_s", [None, 1e-3])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_norm_of_random_systems_matches_slycot(seed, period_s):
+def test_hinf_norm_of_random_systems_matches_slycot(seed, period_s):
     pytest.importorskip("slycot")
     system = random(seed, period_s)
     peer = control.linfnorm(control.ss(*system[:4], 0 if period_s is None else 1.0))[0]
     assert norm(system) == pytest.approx(peer, rel=1e-5)
 
 
-def test_a_static_gain_has_its_norm_and_an_unstable_system_is_refused():
+def test_hinf_norm_of_a_static_gain_is_exact_and_of_an_unstable_system_refused():
     assert norm(static(np.diag([2.0, -3.0]))) == pytest.approx(3.0)
     one = np.eye(1)
     for unstable in (LinearSystem(0 * one, one, one, one), LinearSystem(one, one, one, one, 1e-3)):

@@ -51,7 +51,7 @@ def test_question_is_repeated_until_the_answer_is_valid(typing, request_, refuse
     assert terminal.answer() == answer
 
 
-def test_line_typed_ahead_answers_the_next_question(typing):
+def test_line_typed_ahead_at_the_terminal_answers_the_next_question(typing):
     """A buffered reader would take all lines at once: the second answer would then wait for a third line."""
     terminal, _, pipe = typing
     pipe.write(b"0.3\n0.4\n\n")
@@ -99,18 +99,18 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("words", REFUSED)
-def test_invalid_mistake_is_refused_and_lists_the_allowed_ones(words):
+def test_invalid_option_mistake_is_refused_with_the_allowed_mistakes(words):
     with pytest.raises(ConfigurationError, match=r"--mistake.*allowed"):
         wiring_of([words], VIRTUAL)
 
 
-def test_watchdog_mistakes_are_refused_for_drives_without_a_watchdog():
+def test_simulated_watchdog_mistakes_are_refused_for_drives_without_a_watchdog():
     with pytest.raises(ConfigurationError, match="no watchdog"):
         wiring_of(["watchdog_long leg=1"], build_protocol(family("cubemars")))
     assert wiring_of(["watchdog_long leg=1"], build_protocol(family("damiao"))) != Wiring()
 
 
-def test_mistake_changes_the_wiring_of_the_given_legs_only():
+def test_simulated_mistake_changes_the_wiring_of_the_given_legs_only():
     assert wiring_of(["ids_rotated leg=1 other=2 third=4"], VIRTUAL).motor == (0, 2, 4, 3, 1, 5)
     assert wiring_of(["payload value=3", "upside_down"], VIRTUAL) == Wiring(payload=3.0, gravity=-1.0)
     brakes = wiring_of(["brake_of_another leg=1 other=4"], VIRTUAL).brake

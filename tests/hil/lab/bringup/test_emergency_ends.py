@@ -82,7 +82,7 @@ def context(answer: Any = lambda: 0.0) -> tuple[Context, Drives]:
 
 @pytest.mark.parametrize("raises", [True, False], ids=["in mid-step", "at its end"])
 @pytest.mark.parametrize("name", UNSAFE)
-def test_no_step_begins_after_an_unsafe_finding(name: str, raises: bool) -> None:
+def test_bring_up_begins_no_step_after_an_unsafe_finding(name: str, raises: bool) -> None:
     begun: list[str] = []
     harmless, unsafe = Finding("friction", (1,), "", ""), Finding(name, (3,), "", "")
     steps = (
@@ -97,7 +97,7 @@ def test_no_step_begins_after_an_unsafe_finding(name: str, raises: bool) -> None
 
 
 @pytest.mark.parametrize("name", ["friction", "force_sign", "brake_stuck_shut"])
-def test_next_step_still_runs_after_a_harmless_finding(name: str) -> None:
+def test_bring_up_runs_the_next_step_after_a_harmless_finding(name: str) -> None:
     begun: list[str] = []
     steps = step("first", begun, [Finding(name, (3,), "", "")]), step("second", begun, [])
     outcome = bring_up(context()[0], steps)
@@ -106,7 +106,7 @@ def test_next_step_still_runs_after_a_harmless_finding(name: str) -> None:
 
 @pytest.mark.parametrize("drive", range(6))
 @pytest.mark.parametrize("others", [False, True], ids=["alone", "with the others"])
-def test_silent_drive_is_commanded_for_a_few_ticks_only(drive: int, others: bool) -> None:
+def test_silent_drive_is_commanded_for_a_few_ticks_while_the_operator_acts(drive: int, others: bool) -> None:
     """The operator takes twenty ticks; the last reported state of the drive is still RUN."""
     waits = iter(range(20))
     c, drives = context(lambda: None if next(waits, None) is not None else 0.0)
@@ -118,7 +118,7 @@ def test_silent_drive_is_commanded_for_a_few_ticks_only(drive: int, others: bool
 
 
 @pytest.mark.parametrize("open_brake", [False, True], ids=["all shut", "one open"])
-def test_bring_up_ends_after_a_few_impossible_readings(
+def test_bring_up_ends_after_three_impossible_readings_of_the_operator(
     open_brake: bool,
 ) -> None:
     c, _ = context(iter([7.0] * 3).__next__)
@@ -138,7 +138,7 @@ def test_step_stops_if_a_drive_leaves_run_by_itself(state):
         assert (stop.value.finding.name, stop.value.finding.legs) == ("lost_power", (leg,))
 
 
-def test_running_drive_goes_on_whatever_locked_out_drives_report():
+def test_enabled_drive_continues_although_the_locked_out_drives_report_a_fault():
     for leg in range(6):
         c, drives = context()
         drives.record["drive_state"][np.arange(6) != leg] = DriveState.FAULT

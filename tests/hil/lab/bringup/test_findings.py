@@ -35,7 +35,7 @@ def context(machine):
     return c
 
 
-def test_crossed_brakes_are_one_finding_with_all_their_drives(context):
+def test_interchanged_brakes_are_reported_as_one_finding_with_all_their_drives(context):
     assert brakes.judge(context) == []
     for a, b in permutations(LEGS, 2):
         c = (a + 1) % 6 if (a + 1) % 6 != b else (a + 2) % 6
@@ -83,7 +83,7 @@ BEHIND = {
 
 
 @pytest.mark.parametrize("case", BEHIND)
-def test_exchanged_numbers_crossed_encoders_and_stuck_brakes_are_separated(context, case):
+def test_exchanged_node_numbers_crossed_encoders_and_stuck_brakes_are_distinguished(context, case):
     counts, opens, expected = BEHIND[case]
     found = found_with(context, counts, opens)
     found.pop("brake_crossed", None)
@@ -136,7 +136,7 @@ def hung(context, off_m):
     return [(finding.name, finding.legs) for finding in mounted.judge(context)]
 
 
-def test_only_an_offset_beyond_forgotten_whole_turns_is_a_finding(context):
+def test_length_offset_of_whole_turns_is_no_finding_if_the_drives_forget_turns(context):
     context.machine = replace(context.machine, forgotten_m=FORGOTTEN_M)
     for turns in ([1, -1, 2, -2, 3, 0], [-1, 1, -2, 2, -3, 5], [0] * 6):
         assert hung(context, np.array(turns) * FORGOTTEN_M) == []
@@ -145,7 +145,7 @@ def test_only_an_offset_beyond_forgotten_whole_turns_is_a_finding(context):
                 assert hung(context, (turns + part * np.eye(6)[leg]) * FORGOTTEN_M) == [("slipped", (leg,))]
 
 
-def test_offset_of_one_turn_is_a_finding_if_drives_forget_no_turns(context):
+def test_length_offset_of_one_turn_is_a_finding_if_the_drives_keep_their_turns(context):
     assert context.machine.forgotten_m is None
     for leg in LEGS:
         assert hung(context, 0.025 * np.eye(6)[leg]) == [("slipped", (leg,))]
@@ -172,7 +172,7 @@ def test_gravity_that_differs_from_the_configuration_is_a_finding(presses, seen,
     assert [f.name for f in mounted.judge(c)] == ["gravity"] * named
 
 
-def test_slipped_legs_with_opposite_errors_are_two_findings():
+def test_legs_that_slipped_in_opposite_directions_are_two_findings():
     c = Rehearsal("virtual").context
     c.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = c.machine.pose_lengths + 6e-3 * np.array([0, 0, 0, 1, -1, 0])
@@ -206,7 +206,7 @@ def with_robot(name, wiring):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_sign_of_force_is_found_though_half_a_torque_step_moves_the_leg(name):
+def test_inverted_force_sign_is_found_although_half_a_torque_step_moves_the_leg(name):
     rehearsal = with_robot(name, wired(Mistake("force_sign", 2)))
     outcome = rehearsal.run((force.STEP,))
     assert named(outcome) == {("force_sign", (2,))}
@@ -214,7 +214,7 @@ def test_sign_of_force_is_found_though_half_a_torque_step_moves_the_leg(name):
 
 
 @pytest.mark.parametrize(("plus", "minus"), [(-1, -1), (1, 1), (-1, 0), (0, 1)])
-def test_motion_in_one_direction_only_does_not_suggest_exchanged_phases(plus, minus):
+def test_leg_that_moves_in_one_direction_only_is_not_reported_as_exchanged_motor_phases(plus, minus):
     rehearsal = with_robot("cubemars", Wiring())
     right: dict[str, Any] = {
         "plus": {"force_N": 1.0, "leg": 0, "way": 1},
@@ -244,7 +244,7 @@ CAUSES = {
 
 
 @pytest.mark.parametrize("case", CAUSES)
-def test_force_separates_wrong_lead_from_wrong_encoder_or_both_are_listed(case):
+def test_force_gauge_distinguishes_a_wrong_screw_lead_from_a_wrong_encoder_scale(case):
     scale, gain, span_N, name = CAUSES[case]
     rehearsal = with_robot("cubemars", Wiring())
     context = rehearsal.context
@@ -266,7 +266,7 @@ SAME_LEVELS = {
 
 
 @pytest.mark.parametrize("case", SAME_LEVELS)
-def test_saturation_and_scale_need_different_commanded_levels(case):
+def test_force_saturation_and_scale_are_reported_only_with_different_commanded_forces(case):
     pairs, expected = SAME_LEVELS[case]
     c = Rehearsal("virtual").context
     way = {"force_N": 0.1, "leg": 0, "way": 1}
@@ -277,7 +277,7 @@ def test_saturation_and_scale_need_different_commanded_levels(case):
     assert [finding.name for finding in gauge.judge(c)] == expected
 
 
-def test_friction_is_reported_for_the_leg_that_the_drive_moves():
+def test_excessive_friction_is_reported_for_the_leg_that_the_drive_moves():
     c = Rehearsal("virtual").context
     c.facts["opens"] = {"1": {"legs": [4], "hand_N": c.machine.force_N, "rate_share": None}}
     c.facts["force"] = {"1": {"plus": STILL, "minus": STILL}}

@@ -36,7 +36,7 @@ def asked(rehearsal: Rehearsal, act: str) -> list[float]:
 
 
 @pytest.mark.parametrize("stop_at", [2, 9], ids=["first pose", "second pose"])
-def test_interrupted_mounting_is_recorded_as_a_hanging_platform(stop_at: int) -> None:
+def test_mounting_that_is_interrupted_is_recorded_as_a_hanging_platform(stop_at: int) -> None:
     rehearsal = Rehearsal("virtual", stop_at=stop_at)
     written = saved(rehearsal)
     with pytest.raises(KeyboardInterrupt):
@@ -113,7 +113,7 @@ def test_hanging_platform_is_remembered_after_a_new_scan_of_the_bus(tmp_path, na
     assert Store(path, {}).facts == facts == {"platform": {"hung": True}}
 
 
-def test_hanging_platform_is_remembered_with_again_or_new_hardware(tmp_path):
+def test_hanging_platform_is_remembered_with_option_again_or_new_hardware(tmp_path):
     c = load("virtual")
     path = tmp_path / "state.json"
     store = Store(path, identity(c, ()))
@@ -130,7 +130,7 @@ def weighs(rehearsal: Rehearsal, typed: Callable[[], float]) -> None:
 
 
 @pytest.mark.parametrize("typed", [0.0, 1190.0])
-def test_mass_stays_unproven_if_the_platform_cannot_be_weighed(typed):
+def test_platform_mass_is_reported_as_unproven_if_the_platform_cannot_be_weighed(typed):
     rehearsal = Rehearsal("virtual")
     weighs(rehearsal, lambda: typed)
     outcome = rehearsal.run(MOUNTED)
@@ -148,14 +148,14 @@ def test_mass_stays_unproven_if_the_platform_cannot_be_weighed(typed):
         ("upside_down", ("gravity", ())),
     ],
 )
-def test_tape_at_the_known_poses_finds_what_changed_at_mounting(mistake, found):
+def test_tape_measurements_at_known_poses_find_legs_changed_by_the_mounting(mistake, found):
     rehearsal = Rehearsal("desktop", wired(mistake_of(f"{mistake} mounting")))
     assert named(rehearsal.run(MOUNTED)) == {found}
     assert Rehearsal("desktop").run(MOUNTED).success
 
 
 @pytest.mark.parametrize(("read_m", "found"), [(0.0, set()), (5e-3, {"scale_or_lead"})])
-def test_leg_of_equal_tape_lengths_at_both_poses_is_judged_in_metres(read_m, found):
+def test_leg_of_equal_tape_lengths_at_both_poses_is_compared_in_metres_not_by_a_ratio(read_m, found):
     rehearsal = Rehearsal("virtual")
     rehearsal.run(MOUNTED)
     c = rehearsal.context
@@ -165,7 +165,7 @@ def test_leg_of_equal_tape_lengths_at_both_poses_is_judged_in_metres(read_m, fou
     assert {finding.name for finding in mounted.judge(c)} == found
 
 
-def test_crossed_encoders_are_found_by_tape_and_not_taken_for_other_joints():
+def test_crossed_encoders_are_found_by_tape_and_not_taken_for_wrong_joint_positions():
     rehearsal = Rehearsal("virtual", wired(mistake_of("encoder_crossed leg=1 other=4 mounting")))
     assert named(rehearsal.run(MOUNTED)) == {("encoder_crossed", (1,)), ("encoder_crossed", (4,))}
 
@@ -215,7 +215,7 @@ def test_brakes_and_drives_are_tested_again_on_the_hoist(proven, mistake, found)
         (("push", 2), 2, {}, 0.03),
     ],
 )
-def test_brake_shuts_if_the_hoist_does_not_carry_all(proven, slackens_at, time, kept, most_m):
+def test_brake_shuts_if_the_hoist_does_not_carry_the_whole_platform(proven, slackens_at, time, kept, most_m):
     """The weight is on leg 2 before its brake opens, in a repeated run too, or while it is pushed."""
     rehearsal = hoisted(json.dumps(json.loads(proven) | {"hoisted": kept}))
     bench, do, seen = rehearsal.bench, rehearsal.bench.do, []
@@ -244,7 +244,7 @@ ENDS = {
 
 @pytest.mark.parametrize("machine", [True, False])
 @pytest.mark.parametrize("case", ENDS)
-def test_mounting_is_requested_only_at_a_machine_without_findings(case, machine, monkeypatch):
+def test_mounting_of_the_platform_is_requested_only_without_findings(case, machine, monkeypatch):
     outcome, good = ENDS[case]
     asked: list[str] = []
     operator: Any = SimpleNamespace(

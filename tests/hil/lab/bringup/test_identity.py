@@ -52,7 +52,7 @@ def asked_over(name, lost):
 
 
 @pytest.mark.parametrize("name", ["damiao", "odrive"])
-def test_request_is_repeated_only_to_drives_that_did_not_answer(name):
+def test_identity_request_is_repeated_only_to_drives_that_did_not_answer(name):
     rounds = {"damiao": 2, "odrive": 1}[name]
     whole, requests = asked_over(name, 0)
     assert requests == 6 * rounds
@@ -114,7 +114,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("case", CHANGES)
-def test_facts_are_dropped_only_if_a_drive_reports_another_serial_number(case, monkeypatch):
+def test_measurements_are_discarded_only_if_a_drive_reports_another_serial_number(case, monkeypatch):
     tells, known, stay = CHANGES[case]
     others = tuple(tells if leg == 2 else {SERIAL: leg + 1} for leg in range(6))
     rehearsal, _ = scanned(measured(), others, monkeypatch)
@@ -151,7 +151,7 @@ def with_another(monkeypatch, node, key, value):
     ("key", "told"),
     broad([(objects.SERIAL, "serial number 3 -> 77"), (objects.REVISION, "revision 1 -> 77")], quick=1),
 )
-def test_only_a_replaced_drive_is_measured_again(monkeypatch, key, told):
+def test_bring_up_repeats_the_measurements_of_a_replaced_drive_only(monkeypatch, key, told):
     first = Rehearsal("cia402_pdo")
     assert first.run(STEPS[:4]).success
     facts = first.context.facts
@@ -190,7 +190,7 @@ def test_identities_of_each_family_are_read():
 
 
 @pytest.mark.parametrize(("every", "found"), [(1000, False), (100, False), (16, True)])
-def test_scan_at_50_Hz_judges_lost_answers_by_their_share(every, found):
+def test_scan_of_a_50_Hz_bus_reports_lost_frames_by_their_share(every, found):
     rehearsal, polls = Rehearsal("vcan50"), count(1)
     sender = rehearsal.drives.protocol.sender
 

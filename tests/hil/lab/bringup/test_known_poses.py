@@ -33,7 +33,7 @@ def reach_m(c):
 
 
 @pytest.mark.parametrize("name", ["virtual", "desktop"])
-def test_tilt_is_the_largest_share_within_the_stroke(name):
+def test_tilt_of_the_second_known_pose_is_reduced_to_fit_the_stroke(name):
     c = load(name)
     whole = np.linalg.norm(TILT_deg)
     reach = reach_m(c)
@@ -43,7 +43,7 @@ def test_tilt_is_the_largest_share_within_the_stroke(name):
     assert tilt_deg(with_stroke(c, 0.3 * reach)) == pytest.approx(0.25 * whole, rel=1e-6)
 
 
-def test_home_at_the_end_of_the_stroke_is_refused_and_names_the_leg():
+def test_home_at_the_end_of_the_stroke_is_refused_with_the_leg():
     c = load("virtual")
     narrow = with_stroke(c, 0.1 * reach_m(c))
     with pytest.raises(ConfigurationError, match=r"leg \d"):

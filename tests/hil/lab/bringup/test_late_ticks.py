@@ -67,12 +67,12 @@ def test_too_long_watchdog_is_found_despite_a_late_tick(family):
 
 
 @pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
-def test_right_watchdog_is_measured_again_after_a_late_tick(family):
+def test_correct_watchdog_is_measured_again_after_a_late_tick(family):
     assert found(family, Wiring(), 6.5, silence.TRIES - 1) == (set(), 0)
 
 
 @pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
-def test_watchdog_is_unmeasured_if_ticks_are_late_every_time(family):
+def test_watchdog_is_reported_as_unmeasured_if_every_attempt_has_late_ticks(family):
     findings, _ = found(family, Wiring(), 6.5, 100)
     assert findings == {("watchdog_unmeasured", (leg,)) for leg in range(6)}
 
@@ -98,7 +98,7 @@ class AfterSilence:
     ],
     ids=["good", "missing"],
 )
-def test_watchdog_is_proven_although_an_answer_is_late(wiring, findings):
+def test_watchdog_is_measured_although_an_answer_is_late(wiring, findings):
     rehearsal = Rehearsal("moteus_zero_velocity", wiring)
     rehearsal.hears(AfterSilence())
     assert named(rehearsal.run((scan.STEP, silence.STEP))) == findings
@@ -159,7 +159,7 @@ class FakeBus:
         return BusEvents(0, self.off, 0)
 
 
-def test_tick_has_the_answers_of_its_window_and_late_ones_of_the_last():
+def test_bus_tick_returns_the_answers_of_its_window_and_late_answers_of_the_previous_tick():
     bus = FakeBus()
     line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True)
     first, second = line.exchange([POLL]), line.exchange([POLL])
@@ -169,7 +169,7 @@ def test_tick_has_the_answers_of_its_window_and_late_ones_of_the_last():
     assert second.since_ns - first.since_ns == 2_000_000
 
 
-def test_tick_reports_the_pause_of_bench_time_before_it():
+def test_bus_tick_reports_how_long_the_virtual_clock_paused_before_it():
     bus = FakeBus()
     bus.clock.stood_ns = 100
     line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True)

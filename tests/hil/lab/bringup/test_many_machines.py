@@ -119,7 +119,7 @@ def is_named(words: list[str], text: str) -> bool:
 
 @pytest.mark.long
 @pytest.mark.parametrize("part", range(6))
-def test_no_machine_is_released_off_its_path_and_causes_are_listed(monkeypatch, part):
+def test_bring_up_of_faulty_machines_releases_none_off_its_path_and_lists_most_causes(monkeypatch, part):
     unnamed = []
     for name, words in list(machines())[part :: MACHINES // 10]:
         text, released, off_m = brought_up(monkeypatch, name, words)
@@ -144,6 +144,6 @@ def test_mistake_made_when_mounting_stops_the_first_motion_and_is_listed(monkeyp
     assert off_m < 6e-3
 
 
-def test_frames_lost_since_the_mounting_are_found_while_the_platform_hangs(monkeypatch):
+def test_lost_frames_since_the_mounting_are_found_while_the_platform_hangs(monkeypatch):
     text, released, _ = brought_up(monkeypatch, "virtual", ["frames_lost mounting"], STEPS[-2:-1])
     assert ("frames_lost" in text, released) == (True, False)

@@ -26,7 +26,7 @@ def good():
     return rehearsal, rehearsal.run()
 
 
-def test_good_machine_passes_with_one_brake_small_force_and_short_travel(good):
+def test_bring_up_of_a_good_machine_opens_one_brake_at_a_time_with_small_force_and_travel(good):
     rehearsal, outcome = good
     assert outcome.findings == ()
     assert outcome.passed == tuple(step.name for step in STEPS)
@@ -35,7 +35,7 @@ def test_good_machine_passes_with_one_brake_small_force_and_short_travel(good):
     assert 1e-4 < rehearsal.watched.most_travel_m < 1e-3
 
 
-def test_watchdog_friction_scale_and_sign_agree_with_the_bench(good):
+def test_measured_watchdog_friction_scale_and_sign_agree_with_the_virtual_machine(good):
     rehearsal, _ = good
     for leg in range(6):
         watchdog = rehearsal.context.known("watchdog", leg)
@@ -46,7 +46,7 @@ def test_watchdog_friction_scale_and_sign_agree_with_the_bench(good):
         assert (fact["plus"]["way"], fact["minus"]["way"], fact["plus"]["leg"]) == (1, -1, leg)
 
 
-def test_at_the_end_all_drives_are_off_with_their_own_watchdogs(good):
+def test_bring_up_ends_with_all_drives_off_and_their_watchdog_times_restored(good):
     rehearsal, _ = good
     nodes = rehearsal.bench.nodes
     assert [DriveState(int(s)) for s in nodes.snapshot().state] == [DriveState.OFF] * 6
@@ -54,7 +54,7 @@ def test_at_the_end_all_drives_are_off_with_their_own_watchdogs(good):
 
 
 @pytest.mark.long
-def test_one_brake_at_a_time_is_open_with_one_bus_per_leg(tmp_path):
+def test_bring_up_with_one_bus_per_leg_opens_one_brake_at_a_time(tmp_path):
     text = (Path(hil.__file__).parents[1] / "configs" / "two_buses.yaml").read_text()
     first = text.index("  channels:")
     last = text.index("\n\n", first)
@@ -66,7 +66,7 @@ def test_one_brake_at_a_time_is_open_with_one_bus_per_leg(tmp_path):
     assert rehearsal.watched.most_open == 1
 
 
-def test_step_without_measurements_has_not_passed():
+def test_bring_up_step_without_measurements_has_not_passed():
     rehearsal = Rehearsal("virtual", "brake_stuck_open leg=5")
     outcome = rehearsal.run()
     assert ("brake_stuck_open", (5,)) in named(outcome)
@@ -89,7 +89,7 @@ def test_no_brake_opens_if_another_drive_cannot_be_locked_out():
     assert DriveState(int(rehearsal.drives.record["drive_state"][0])) == DriveState.OFF
 
 
-def test_ctrl_c_with_a_brake_open_removes_force_and_power():
+def test_ctrl_c_with_an_open_brake_removes_force_and_power():
     rehearsal = Rehearsal("virtual", stop_at=61)
     with pytest.raises(KeyboardInterrupt):
         rehearsal.run(ALONE)
@@ -109,7 +109,7 @@ def test_ctrl_c_with_a_brake_open_removes_force_and_power():
     assert resumed.context.known("opens", 5)["legs"] == [5]
 
 
-def test_brake_has_not_held_unless_it_was_pushed():
+def test_brake_is_reported_as_holding_only_after_the_operator_pushed_the_leg():
     """The brake of leg 3 does not shut; the operator pushes only after the gauge's 0 N was refused."""
     rehearsal = Rehearsal("virtual", "brake_stuck_open leg=3")
     ask, reads = rehearsal.hands.ask, []
@@ -142,14 +142,14 @@ def test_without_consent_no_drive_is_polled_or_powered():
     assert "scan" not in rehearsal.context.facts
 
 
-def test_no_step_follows_a_finding_of_a_gate():
+def test_bring_up_ends_after_a_finding_of_a_step_that_later_steps_depend_on():
     rehearsal = Rehearsal("virtual", "encoder_frozen leg=1")
     outcome = rehearsal.run()
     assert (outcome.stopped, outcome.passed) == ("ids", ("scan", "watchdog"))
     assert not {r.act for r in rehearsal.hands.requests} - {"move"}
 
 
-def test_reversed_drive_is_one_finding_instead_of_two():
+def test_wrong_encoder_sign_and_wrong_force_sign_of_a_leg_are_one_finding_reversed_drive():
     sign = [Finding(name, (2,), "", "") for name in ("encoder_sign", "force_sign")]
     other = Finding("force_sign", (4,), "", "")
     assert [(f.name, f.legs) for f in merged(Rehearsal("virtual").context, [*sign, other])] == [
@@ -162,7 +162,7 @@ POLLED = ["moteus_stopped", *[name for name in FAMILIES if "legs" not in name an
 
 
 @pytest.mark.parametrize("name", broad(POLLED, quick=1))
-def test_brakes_without_delay_open_one_at_a_time(name):
+def test_brakes_without_opening_delay_open_one_at_a_time(name):
     """A drive enabled for one tick opens no brake that takes 40 ms, so only a brake without delay shows it."""
     c, at_once = family(name), {"plant": {"drives": {"brake_open_ms": 0, "brake_close_ms": 0}}}
     rehearsal = Rehearsal(loads(with_changes(c.text, at_once), name, c.folder))
@@ -170,7 +170,7 @@ def test_brakes_without_delay_open_one_at_a_time(name):
     assert rehearsal.watched.most_open <= 1
 
 
-def test_unproven_step_is_accepted_by_a_word_and_has_not_passed():
+def test_unproven_bring_up_step_needs_acceptance_by_the_operator_and_has_not_passed():
     rehearsal = Rehearsal("cubemars")
     outcome = rehearsal.run(STEPS[:2])
     assert outcome.passed == ("scan",)
@@ -182,7 +182,7 @@ def test_unproven_step_is_accepted_by_a_word_and_has_not_passed():
 
 
 @pytest.mark.parametrize("family", ["cia402_difference", "odrive"])
-def test_drives_with_their_own_command_frames_are_powered_alone(family):
+def test_drives_with_separate_command_frames_are_powered_one_at_a_time(family):
     """The five others are commanded off; these drives cannot be locked out and need not be."""
     rehearsal = Rehearsal(family)
     assert not rehearsal.drives.locks
@@ -195,7 +195,7 @@ def test_drives_with_their_own_command_frames_are_powered_alone(family):
     assert not {DriveState.READY, DriveState.RUN} & {*states[:3], *states[4:]}
 
 
-def test_procedure_waits_for_a_slow_heartbeat_to_report_the_brake():
+def test_bring_up_waits_for_a_slow_heartbeat_to_report_the_brake():
     c = family("odrive")
     slow = with_changes(c.text, {"drives": {"heartbeat_ms": 250}})
     rehearsal = Rehearsal(loads(slow, "odrive", c.folder))
@@ -239,7 +239,7 @@ def test_two_brakes_on_one_output_are_found_and_get_no_force():
 
 
 @pytest.mark.long
-def test_bring_up_killed_after_any_fact_resumes_there_and_succeeds():
+def test_bring_up_killed_after_any_measurement_resumes_there_and_succeeds():
     """SIGKILL leaves the last saved state: the facts at several moments are read back from JSON."""
     rehearsal = Rehearsal("virtual")
     moments: list[str] = []

@@ -62,14 +62,14 @@ def test_shut_brake_that_slips_in_either_direction_does_not_hold(leg: int, way_m
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
-def test_leg_with_open_brake_gives_way_in_either_direction(leg: int, way_m: float) -> None:
+def test_push_by_hand_on_a_leg_detects_an_open_brake_in_either_direction(leg: int, way_m: float) -> None:
     assert brakes.gives_way(pushed("push", way_m, leg), leg, lambda: None) == (True, 700.0)
     assert brakes.gives_way(pushed("push", way_m / 4.0, leg), leg, lambda: None) == (False, 0.0)
 
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
-def test_each_other_leg_freed_by_a_drive_is_seen_in_either_direction(leg: int, way_m: float) -> None:
+def test_push_by_hand_detects_every_other_leg_whose_brake_a_drive_opens(leg: int, way_m: float) -> None:
     others = [other for other in range(6) if other != leg]
     for freed in ([], others[:1], others[-1:], others[1:4], others):
         c = pushed("push_others", way_m, *freed)
@@ -91,7 +91,7 @@ def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ..
 
 
 @pytest.mark.parametrize("ends", [(3e-3, 0.0), (0.0, 3e-3), (3e-3, 3e-3), (0.2, -0.01)])
-def test_leg_that_misses_an_end_of_its_stroke_has_an_end_stop_finding(ends: tuple[float, float]) -> None:
+def test_leg_that_stops_before_its_stroke_end_is_an_end_stop_finding(ends: tuple[float, float]) -> None:
     for leg in range(6):
         assert taped({leg: ends}) == [("end_stop", (leg,))]
     assert taped({1: ends, 4: ends[::-1]}) == [("end_stop", (1,)), ("end_stop", (4,))]
@@ -117,6 +117,6 @@ def share_of(motion, rate=lambda v: v):
 
 @pytest.mark.parametrize("speed", [2e-3, 0.015, 0.1, -0.1, 0.8])
 @pytest.mark.parametrize("factor", [1.0, -1.0, 2.0, 0.0])
-def test_scale_of_the_rate_is_found_at_slow_and_fast_pushes(speed, factor):
+def test_scale_of_the_reported_rate_is_found_from_slow_and_fast_pushes(speed, factor):
     ticks = max(8, round(1.2e-3 / abs(speed) / (1e-9 * TICK_NS)))
     assert share_of([speed] * ticks, lambda v: factor * v) == pytest.approx(factor, abs=1e-9)

@@ -88,7 +88,7 @@ def ran(*, success=True, faults=Fault(0)):  # noqa: B008
     return lambda *_: SimpleNamespace(success=success, trouble="", faults=faults)
 
 
-def test_file_is_released_after_six_legs_have_moved(ended, tmp_path):
+def test_configuration_is_released_after_six_legs_have_moved_together(ended, tmp_path):
     summary, _ = ended(ran())
     assert summary["success"]
     text = (tmp_path / FOUND).read_text()
@@ -97,7 +97,7 @@ def test_file_is_released_after_six_legs_have_moved(ended, tmp_path):
     assert (tmp_path / summary["checklist"]).read_text().startswith("REHEARSAL")
 
 
-def test_what_the_file_corrected_for_stands_apart_from_what_is_to_be_fixed(ended, tmp_path):
+def test_configuration_lists_corrected_findings_apart_from_those_still_to_be_fixed(ended, tmp_path):
     encoder = {"drive": 3, "tape_m": [0.25, 0.4], "scale": 0.98, "offset_m": 0.0, "bent_m": 0.0}
     findings = (
         Finding("wrong_lead", (3,), "too long", "Shorten it."),
@@ -114,7 +114,7 @@ def test_what_the_file_corrected_for_stands_apart_from_what_is_to_be_fixed(ended
     assert "desktop.rehearsal.yaml --rehearse" in line
 
 
-def test_failed_brake_is_tested_again_and_no_file_is_released(ended, tmp_path):
+def test_failed_brake_in_the_first_motion_prevents_release_and_discards_all_measurements(ended, tmp_path):
     summary, _ = ended(ran(success=False, faults=Fault.BRAKE))
     assert not summary["success"]
     assert "# NOT RELEASED: the step `together` has not passed" in (tmp_path / FOUND).read_text()
@@ -130,7 +130,7 @@ def raising(error):
 
 
 @pytest.mark.parametrize("error", [RefusedError("ended"), KeyboardInterrupt()], ids=["no", "Ctrl-C"])
-def test_without_consent_no_leg_moves_and_no_file_is_released(ended, tmp_path, monkeypatch, error):
+def test_without_consent_no_leg_moves_and_no_configuration_is_released(ended, tmp_path, monkeypatch, error):
     monkeypatch.setattr(Terminal, "consent", raising(error))
     summary, _ = ended(lambda *_: pytest.fail("six legs have moved"), yes=False)
     assert not summary.get("success")
@@ -138,7 +138,7 @@ def test_without_consent_no_leg_moves_and_no_file_is_released(ended, tmp_path, m
     assert "NOT RELEASED" in (tmp_path / FOUND).read_text()
 
 
-def test_file_is_not_released_if_the_program_dies_during_first_motion(ended, tmp_path):
+def test_configuration_is_not_released_if_the_program_dies_during_the_first_motion(ended, tmp_path):
     with pytest.raises(SystemExit):
         ended(raising(SystemExit()))
     assert "# NOT RELEASED: the step `together`" in (tmp_path / FOUND).read_text()
@@ -155,7 +155,7 @@ def test_incomplete_log_is_a_failure_and_prevents_the_first_motion(ended, tmp_pa
 
 @pytest.mark.parametrize("served", [True, False])
 @pytest.mark.parametrize("agrees", [True, False])
-def test_homing_file_is_written_only_after_consent_at_a_machine(monkeypatch, agrees, served):
+def test_homing_file_of_a_real_machine_is_written_only_after_consent(monkeypatch, agrees, served):
     done: list[str] = []
     monkeypatch.setattr(Terminal, "consent", (lambda *_: True) if agrees else raising(RefusedError("ended")))
     monkeypatch.setattr(command, "state_lengths", lambda *_: done.append("stated"))
@@ -184,7 +184,7 @@ def forgetful(folder, radius_m=0.004) -> Configuration:
     return loads(with_changes(text, {"drives": drives}), "forgetful", folder)
 
 
-def test_offset_beyond_forgotten_whole_turns_is_found(tmp_path):
+def test_length_offset_other_than_whole_turns_is_found_on_motors_that_forget_turns(tmp_path):
     rehearsal = Rehearsal(forgetful(tmp_path), "offset leg=2")
     forgotten = rehearsal.machine.forgotten_m
     assert forgotten is not None
@@ -193,7 +193,7 @@ def test_offset_beyond_forgotten_whole_turns_is_found(tmp_path):
 
 
 @pytest.mark.long
-def test_six_legs_move_after_a_rehearsal_with_motors_that_forget_turns(tmp_path):
+def test_first_motion_succeeds_after_a_rehearsal_with_motors_that_forget_turns(tmp_path):
     rehearsal = Rehearsal(forgetful(tmp_path))
     outcome = rehearsal.run()
     assert outcome.success, outcome.findings
@@ -204,7 +204,7 @@ def test_homing_file_is_marked_as_moved_and_gets_the_last_pose_at_the_end(tmp_pa
     c = forgetful(tmp_path)
     said: list[str] = []
     mark_moved(c, said.append)
-    assert said == [], "there is no file yet"
+    assert said == [], "nothing is reported while no homing file exists"
     state_homing(c, at_home=True)
     path = tmp_path / "legs.homing.yaml"
     before = read_homing(c, path)
@@ -251,7 +251,9 @@ def homing(c: Configuration) -> str:
     return read_homing(c, c.folder / "legs.homing.yaml").state
 
 
-def test_agreeing_to_all_steps_is_refused_at_a_machine(stated: Configuration, begun: list[str]) -> None:
+def test_option_yes_to_all_steps_is_refused_at_a_real_machine(
+    stated: Configuration, begun: list[str]
+) -> None:
     before = sorted(stated.folder.iterdir())
     with pytest.raises(RunError, match="for a bench only: leave it out at a machine"):
         run_bringup("forgetful", stated, yes=True, say=lambda _: None)
@@ -265,7 +267,7 @@ def test_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
 ) -> None:
     for _ in range(2):
         run_bringup("forgetful", stated, say=lambda _: None)
-        assert homing(stated) == "moved", "it stays until the lengths are stated again"
+        assert homing(stated) == "moved", "the file stays marked as moved until lengths are stated again"
         state_homing(stated, at_home=True)
     assert begun == ["moved"] * 2
 

@@ -30,14 +30,14 @@ C = load("virtual")
 @pytest.mark.parametrize(
     "fault", ["drive_silence leg=2", "frames_loss probability=0.5", "bus_second_controller rate=100"]
 )
-def test_fault_without_effect_on_a_bench_is_refused(fault: str) -> None:
+def test_fault_without_effect_on_the_virtual_machine_is_refused(fault: str) -> None:
     c = with_faults(C, ["process_slow by=1", fault])
     with pytest.raises(ConfigurationError, match=r"plant\.faults\[1\].*--mistake"), served_bench(c, []):
         pass
     assert not hands_socket(C.bus.interface, C.bus.channel).exists()
 
 
-def test_hands_of_a_served_bench_answer_through_a_socket(folder):
+def test_operator_actions_on_a_virtual_machine_are_answered_through_a_socket(folder):
     c, address = C, BusAddress(C.bus.interface, C.bus.channel)
     with pytest.raises(RunError, match="no bench is served"):
         RemoteHands(address, lambda *_: True, lambda _: None)
@@ -58,7 +58,7 @@ def test_hands_of_a_served_bench_answer_through_a_socket(folder):
     assert lengths == [0.0, pytest.approx(2.2 + 0.02 * 1.45 - 0.5 * 1.45, abs=1e-3)]
 
 
-def test_facts_from_a_served_bench_are_not_used_at_a_machine(tmp_path, folder, monkeypatch):
+def test_measurements_of_a_virtual_machine_are_not_used_at_a_real_one(tmp_path, folder, monkeypatch):
     def stopped(context, *, hang):
         context.keep("held", 0, {"moved": False, "hand_N": 700.0})
         return Outcome((), (), stopped="ended"), "ended"
@@ -75,7 +75,7 @@ def test_facts_from_a_served_bench_are_not_used_at_a_machine(tmp_path, folder, m
     assert any("other hardware" in text for text in said)
 
 
-def test_bench_time_is_held_during_steps_but_not_during_consent(folder):
+def test_virtual_clock_can_pause_during_bring_up_steps_but_not_during_consent(folder):
     c = loads(with_changes(C.text, {"recording": {"folder": f"{folder}/runs"}}), "virtual", C.folder)
     protocol, said, held = build_protocol(c), list[str](), list[bool]()
     with Bus.open(c.bus, role="controller") as bus, Bus.open(c.bus, role="bench"), served_bench(c, []):

@@ -30,7 +30,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("case", DAMAGED)
-def test_damaged_state_file_is_refused_in_one_line_and_left_unchanged(tmp_path, case):
+def test_damaged_bring_up_state_file_is_refused_in_one_line_and_left_unchanged(tmp_path, case):
     path = tmp_path / "state.json"
     store = Store(path, {"stroke": 1})
     store.facts["held"] = {"0": {"moved": True, "hand_N": None}}
@@ -45,7 +45,7 @@ def test_damaged_state_file_is_refused_in_one_line_and_left_unchanged(tmp_path, 
     assert path.read_text() == damaged
 
 
-def test_kept_facts_are_read_and_only_missing_ones_measured(tmp_path):
+def test_continued_bring_up_reads_stored_measurements_and_repeats_only_missing_ones(tmp_path):
     rehearsal = Rehearsal("virtual")
     store = Store(tmp_path / "state.json", {})
     rehearsal.context.facts = store.facts
@@ -66,7 +66,7 @@ def test_kept_facts_are_read_and_only_missing_ones_measured(tmp_path):
     assert list(gauge.judge(again.context)) == [], "no lead finding without a working encoder"
 
 
-def test_unwritable_state_file_is_a_run_error(tmp_path):
+def test_bring_up_state_file_that_cannot_be_written_raises_an_error(tmp_path):
     store = Store(tmp_path / "gone" / "s.json", {})
     with pytest.raises(RunError, match="cannot be written"):
         store.save()
@@ -102,7 +102,7 @@ def all_facts() -> dict[str, dict[str, Any]]:
 
 @pytest.mark.parametrize("legs", [{0}, {1}, {2}, {3}, {4}, {5}, {1, 4}])
 @pytest.mark.parametrize("by_finding", [False, True])
-def test_all_facts_about_a_replaced_leg_or_drive_are_dropped(
+def test_all_measurements_of_a_replaced_leg_or_drive_are_discarded(
     legs: set[int], by_finding: bool, tmp_path: Any
 ) -> None:
     facts = all_facts()
@@ -126,7 +126,7 @@ def test_all_facts_about_a_replaced_leg_or_drive_are_dropped(
         ("opens", {"legs": [1, 4]}),
     ],
 )
-def test_facts_of_other_legs_that_name_a_replaced_drive_are_dropped(step: str, fact: dict[str, Any]) -> None:
+def test_measurements_of_other_legs_by_a_replaced_drive_are_dropped(step: str, fact: dict[str, Any]) -> None:
     facts = all_facts()
     facts[step]["1"] |= fact
     forget_legs(facts, {4})
@@ -145,7 +145,7 @@ OTHERS: dict[str, tuple[str, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", OTHERS)
-def test_all_facts_are_dropped_for_other_configured_hardware(case, tmp_path):
+def test_all_measurements_are_discarded_if_the_configured_hardware_changed(case, tmp_path):
     name, changes, changed = OTHERS[case]
     c, path = load(name), tmp_path / "s.json"
     store = Store(path, identity(c, ()))

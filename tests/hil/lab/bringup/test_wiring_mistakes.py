@@ -109,7 +109,7 @@ def rehearse(family: str, wiring: Wiring, expected: Named) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(("family", "name"), design())
-def test_each_of_several_mistakes_is_found_with_its_legs(family, name):
+def test_each_of_several_wiring_mistakes_is_found_with_its_legs(family, name):
     words = ROUNDS[name]
     expected = OTHERWISE.get((family, name)) or Named().union(*map(case_of, words))
     rehearse(family, wired(*map(mistake_of, words)), expected)
@@ -136,12 +136,12 @@ ONE_CAUSE: dict[tuple[str, ...], Named] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("words", ONE_CAUSE, ids="; ".join)
-def test_mistakes_with_shared_symptoms_are_found_by_their_cause(words):
+def test_wiring_mistakes_with_equal_symptoms_are_found_by_their_cause(words):
     rehearse("virtual", wired(*map(mistake_of, words)), ONE_CAUSE[words])
 
 
 @pytest.mark.long
-def test_reading_beyond_the_range_of_the_frame_is_not_a_length():
+def test_drive_whose_length_exceeds_the_range_of_its_frame_is_reported_as_not_heard():
     """The range of the frames is 1.6 times the stroke."""
     rehearse("damiao", wired(mistake_of("encoder_scale leg=2 value=10")), {("not_heard", (2,))})
 
@@ -165,13 +165,13 @@ EARLY = [
 
 
 @pytest.mark.parametrize(("name", "mistake", "steps"), EARLY)
-def test_mistake_is_found_by_its_own_step(name, mistake, steps):
+def test_wiring_mistake_is_found_by_the_bring_up_step_that_checks_for_it(name, mistake, steps):
     rehearsal = Rehearsal(name, mistake)
     assert named(rehearsal.run(STEPS[:steps])) == case_of(mistake)
     assert rehearsal.watched.most_open <= 1
 
 
-def test_silent_bus_has_six_absent_drives():
+def test_silent_bus_is_reported_as_six_absent_drives():
     rehearsal = Rehearsal("virtual", replace(Wiring(), present=(False,) * 6))
     assert named(rehearsal.run(STEPS[:4])) == {("absent", tuple(range(6)))}
 
@@ -200,7 +200,7 @@ def test_good_machine_has_no_finding_despite_errors_of_tape_and_gauge(family, se
         (Mistake("joint_elsewhere", 3), "slipped", (3,)),
     ],
 )
-def test_platform_unlike_its_configuration_is_found_while_it_hangs(mistake, name, legs):
+def test_platform_that_differs_from_its_configuration_is_found_while_it_hangs(mistake, name, legs):
     rehearsal = Rehearsal("virtual", wired(mistake))
     assert named(rehearsal.run(STEPS[-2:-1])) == {(name, legs)}
     assert rehearsal.watched.opened_while_hung == 0

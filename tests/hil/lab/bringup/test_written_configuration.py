@@ -40,7 +40,7 @@ def written(machine, c, facts, *findings):
         ([3, 1, 2, 0, 4, 5], [3, 4, 2, 6, 5, 1]),
     ],
 )
-def test_each_leg_gets_the_node_number_of_the_drive_that_counts_it(machines, drives, nodes):
+def test_written_node_number_of_each_leg_is_that_of_the_drive_that_measures_it(machines, drives, nodes):
     """drives: by leg. The configured node numbers are not in the order of the legs."""
     virtual = machines["virtual"]
     c = loads(with_changes(virtual.c.text, {"drives": {"node_ids": [6, 4, 2, 3, 5, 1]}}), "x")
@@ -55,7 +55,7 @@ OFFSETS_M = (4e-3, -3e-3, 0.0, 5e-3, -2e-3, 0.0)
 """Offset of each reading at the middle of its tape."""
 
 
-def test_corrected_lead_or_sign_makes_readings_agree_with_the_tape(machines):
+def test_written_screw_lead_or_sign_makes_readings_agree_with_the_tape(machines):
     desktop = machines["desktop"]
     zeros = [0.30, 0.36, 0.29, 0.36, 0.28, 0.34]
     c = loads(with_changes(desktop.c.text, {"drives": {"transmission": {"offset_m": zeros}}}), "x")
@@ -84,7 +84,7 @@ MISREAD: dict[str, tuple[dict[int, int], tuple[str, ...], list[int]]] = {
 
 
 @pytest.mark.parametrize("case", MISREAD)
-def test_transmission_is_unchanged_if_drives_were_read_as_another_leg(machines, case):
+def test_written_transmission_is_unchanged_if_drives_were_read_as_another_leg(machines, case):
     """Each was read with the other's sign, lead and zero, which are right after the exchange."""
     desktop, (reads, names, order) = machines["desktop"], MISREAD[case]
     desktop.context.facts = {
@@ -103,7 +103,7 @@ def test_transmission_is_unchanged_if_drives_were_read_as_another_leg(machines, 
     assert found.drives.transmission == c.drives.transmission
 
 
-def test_limits_of_a_written_file_are_not_reduced_again(machines):
+def test_limits_of_a_configuration_written_by_a_bring_up_are_not_reduced_again(machines):
     virtual = machines["virtual"]
     c = virtual.c
     once = loads(found_text(c, virtual.context, []), "once", c.folder)
@@ -115,7 +115,7 @@ def test_limits_of_a_written_file_are_not_reduced_again(machines):
 
 
 @pytest.mark.parametrize("measured", [True, False])
-def test_file_mentions_lengths_by_tape_only_if_any_were_measured(machines, measured):
+def test_written_configuration_mentions_tape_lengths_only_if_any_were_measured(machines, measured):
     virtual = machines["virtual"]
     virtual.context.facts = {"encoder": {"0": fact(0)} if measured else {}}
     assert ("by tape" in found_text(virtual.c, virtual.context, [])) == measured

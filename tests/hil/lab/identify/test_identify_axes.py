@@ -85,12 +85,12 @@ def noisy():
 
 @pytest.mark.parametrize("samples", [0, 1, 3])
 @pytest.mark.parametrize("lag", [0.2e-3, LAG, 5e-3])
-def test_nominal_axis_agrees_with_scipy(samples, lag):
+def test_frequency_response_of_the_nominal_axis_agrees_with_scipy(samples, lag):
     f = np.array([0.5, 3.0, 30.0, 200.0, 450.0])
     np.testing.assert_allclose(axis_response(f, T, samples * T, lag), sampled(f, lag, samples), rtol=1e-6)
 
 
-def test_noise_in_the_loop_biases_only_the_plain_quotient():
+def test_noise_in_the_loop_biases_the_plain_spectral_quotient_but_not_the_axis_estimate():
     """With noise only, position over demanded acceleration is -1 over the law, not the plant."""
     signals = run(multisine(27, HARMONICS), noise=24e-6, w_n=200.0)
     signals.good[: 3 * PERIOD] = False
@@ -109,7 +109,7 @@ def test_noise_in_the_loop_biases_only_the_plain_quotient():
     assert mean_error(plain) > 3.0 * sure
 
 
-def test_95_percent_circles_contain_the_true_response_in_95_percent(noisy):
+def test_95_percent_confidence_circles_contain_the_true_response_in_95_percent(noisy):
     """Four parts of the run with 40 lines each, independent: 95 % within a standard deviation of 1.7 %."""
     inside = []
     for part in range(4):
@@ -124,7 +124,7 @@ def test_95_percent_circles_contain_the_true_response_in_95_percent(noisy):
     assert 0.89 < share < 0.995
 
 
-def test_bound_covers_the_coupling_of_the_axes():
+def test_uncertainty_bound_covers_the_coupling_of_the_axes():
     """Delta is known; its largest singular value, not its diagonal, matters to a controller."""
     coupling = 0.1 * np.random.default_rng(8).normal(size=(6, 6))
     np.fill_diagonal(coupling, 0.0)
@@ -140,7 +140,7 @@ def test_bound_covers_the_coupling_of_the_axes():
     assert within.max() < 1.3
 
 
-def test_without_noise_response_gain_and_delays_are_exact(quiet):
+def test_identified_response_gain_and_delays_are_exact_without_noise(quiet):
     for axis in range(6):
         own = quiet.excited[:, axis] & (quiet.frequency_Hz < 50)
         assert own.sum() >= 5
@@ -152,7 +152,7 @@ def test_without_noise_response_gain_and_delays_are_exact(quiet):
     assert fit.delays.total_s == pytest.approx(T + LAG + T / 2, abs=0.005e-3)
 
 
-def test_coupling_is_unknown_if_all_axes_move_together(quiet):
+def test_coupling_of_axes_is_unknown_if_all_axes_move_together(quiet):
     t = np.arange(9 * PERIOD) * T
     heave = sum(np.sin(2 * np.pi * h * t / (PERIOD * T) + 2.4 * k * k) for k, h in enumerate(HARMONICS))
     signals = run(0.1 * heave[:, None] * np.ones(6))
@@ -173,7 +173,7 @@ def test_a_delay_that_noise_hides_is_refused(quiet):
         fit_axes(slow._replace(std=np.full_like(slow.std, 0.5)))
 
 
-def test_noise_an_unlike_response_and_a_short_run_are_refused(quiet):
+def test_axis_identification_refuses_noise_another_plant_and_a_short_run(quiet):
     noise = np.random.default_rng(2).normal(size=(3, 9000, 6))
     response = estimate(segmented(AxisSignals(T, noise[0], noise[1], noise[2], np.ones(9000, bool))))
     with pytest.raises(IdentificationError, match="coherent"):

@@ -14,7 +14,7 @@ from hil.lab.identify.linearised import linearised_law, repeating
 
 
 @pytest.mark.parametrize("space", ["joint", "pose"])
-def test_each_line_moves_only_its_own_axis_at_a_rotated_pose(space):
+def test_each_excitation_frequency_moves_only_its_own_axis_at_a_rotated_pose(space):
     """By differences: change of the legs, or shift and rotation in base axes, for a small step along each line."""
     model = linearised_law(load("virtual")).model
     home = Pose(position_m=(0.05, -0.1, 1.05), rotation_vector_deg=(14.0, -11.0, 17.0))
@@ -66,6 +66,6 @@ def sinusoids(*frequencies, duration_s=10.0):
     ],
     ids=["all lines", "too fast", "never", "too long", "other motion"],
 )
-def test_period_is_that_of_all_lines_together_or_none(reference, rate_Hz, expected):
+def test_excitation_period_is_the_common_period_of_all_frequencies_or_none(reference, rate_Hz, expected):
     lines = repeating(reference, rate_Hz)
     assert (None if lines is None else (lines[0], lines[1].tolist())) == expected

@@ -44,7 +44,7 @@ def measured(tmp_path_factory):
 
 
 @pytest.mark.parametrize("bandwidth_Hz", broad([200.0, 100.0], quick=1))
-def test_delay_built_into_the_virtual_bench_is_found(measured, bandwidth_Hz):
+def test_delay_built_into_the_virtual_plant_is_identified(measured, bandwidth_Hz):
     _, _, summary = measured(bandwidth_Hz)
     lag_ms = 1e3 / (2 * pi * bandwidth_Hz)
     assert summary["total_ms"] == pytest.approx(TRANSPORT_MS + lag_ms + HOLD_MS, abs=0.05)
@@ -56,7 +56,7 @@ def test_delay_built_into_the_virtual_bench_is_found(measured, bandwidth_Hz):
     assert summary["gain"] == pytest.approx([1.0] * 6, abs=0.01)
 
 
-def test_excitation_is_small_and_its_log_gives_the_same_delay(measured, tmp_path):
+def test_excitation_for_the_delay_is_small_and_its_log_gives_the_same_delay(measured, tmp_path):
     result, log, summary = measured(200.0)
     run = summary["run"]
     assert not any(run["limited_ticks"].values())
@@ -82,7 +82,7 @@ def test_excitation_is_small_and_its_log_gives_the_same_delay(measured, tmp_path
         (["nothing.yaml", "--delay"], "no such file"),
     ],
 )
-def test_invalid_request_is_refused_before_a_run(arguments, said, tmp_path):
+def test_hil_identify_refuses_invalid_arguments_before_the_run(arguments, said, tmp_path):
     result = identify(*arguments, "--log", tmp_path / "a.mcap")
     assert result.exit_code == 2
     assert said in result.stderr

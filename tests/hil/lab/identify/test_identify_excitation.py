@@ -58,7 +58,7 @@ def shaken(base, platform, frequencies):
 
 
 @TURNED
-def test_largest_leg_force_is_the_requested_one_at_any_home(base, platform):
+def test_largest_leg_force_of_the_excitation_is_the_requested_one_at_any_home(base, platform):
     """Without weight and slow motion; lines at multiples of 2/3 Hz repeat after 1.5 s."""
     model, path = shaken(base, platform, lambda f: f != CARRIER_Hz)
     rest = model.inverse_dynamics(*path.sample(0.0)[:2], np.zeros(6), np.zeros(6))
@@ -68,7 +68,7 @@ def test_largest_leg_force_is_the_requested_one_at_any_home(base, platform):
 
 
 @pytest.mark.parametrize("rate_Hz", [25.0, 100.0, 149.0, 150.0, 1000.0])
-def test_lines_for_the_delay_end_at_three_tenths_of_the_rate(rate_Hz: float) -> None:
+def test_excitation_frequencies_for_the_delay_end_at_0_3_of_the_loop_rate(rate_Hz: float) -> None:
     c = load("virtual")
     reference = delay_excitation(exact_model(c), excitation_pose(c), rate_Hz, 100.0, 20.0)
     lines = np.unique([s.frequency_Hz for s in reference.components if s.frequency_Hz != CARRIER_Hz])

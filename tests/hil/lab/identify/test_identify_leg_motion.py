@@ -46,7 +46,7 @@ def signals(n, good=None):
 
 
 @pytest.mark.parametrize("half", [4, 10, 30])
-def test_filter_differentiates_parabolas_exactly(half):
+def test_differentiating_filter_is_exact_for_parabolas(half):
     b = bell(half, T)
     t: Array = np.arange(200.0) * T
     x = (1.7 + 3.0 * t + 11.0 * t * t)[:, None]
@@ -68,7 +68,7 @@ def test_value_rate_and_acceleration_pass_the_same_filter():
     assert smooth(b.second, x)[k, 0] / (-(w**2) * np.sin(w * t[k])) == pytest.approx(share, rel=2e-3)
 
 
-def test_leg_to_platform_inverts_the_kinematics():
+def test_platform_twist_and_acceleration_from_leg_motion_invert_the_kinematics():
     p, R, twist, dtwist = state(0.43)
     J = jacobian(PLATFORM, p, R)
     ddq = J @ dtwist + jacobian_rate(PLATFORM, p, R, twist) @ twist

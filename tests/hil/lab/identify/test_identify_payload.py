@@ -88,7 +88,7 @@ def test_platform_friction_reflected_mass_and_delay_are_found_together(laden):
     assert found.condition < 20.0
 
 
-def test_unknowns_hidden_from_one_axis_stay_as_configured():
+def test_parameters_not_observable_from_vertical_motion_stay_as_configured():
     """Vertical motion shows the mass and its horizontal position, but neither its height nor the inertia."""
     found = fitted(made(Model(LADEN), 6.0, axes=[2]))
     assert found.theta[0] == pytest.approx(1380.0, rel=1e-3)
@@ -98,7 +98,7 @@ def test_unknowns_hidden_from_one_axis_stay_as_configured():
     assert (found.unknown[:3] < 0.1).all()
 
 
-def test_leg_that_never_slides_is_refused():
+def test_payload_identification_refuses_a_leg_that_never_slides():
     signals = made(Model(PLATFORM), 2.0)
     still = np.tile(signals.length[:1], (len(signals.length), 1))
     with pytest.raises(IdentificationError, match=r"too little motion: leg 0 has .* usable samples"):
@@ -117,7 +117,7 @@ def noisy(signals, rng, sigma_m=5e-6, sigma_N=3.0):
     )
 
 
-def test_point_mass_as_payload_is_found_as_a_possible_body():
+def test_point_mass_payload_is_identified_as_a_physically_possible_body():
     point = Body(230.0, np.array([0.5, 0.3, 0.5]), 1e-9 * np.eye(3))
     whole = combine([PLATFORM.platform, point])
     keys = {k: np.asarray(v).tolist() for k, v in vars(whole).items()}
@@ -141,7 +141,7 @@ def test_point_mass_as_payload_is_found_as_a_possible_body():
     ],
     ids=["differentiated", "slow"],
 )
-def test_standard_error_with_coloured_noise_has_the_right_size(series, white_over_spread):
+def test_standard_error_of_the_payload_with_coloured_noise_has_the_right_size(series, white_over_spread):
     """A sine in coloured noise; the formula for white noise would overstate or understate its error."""
     rng, n = np.random.default_rng(8), 4000
     Z = np.sin(2 * np.pi * 0.002 * np.arange(n))[:, None]
@@ -159,7 +159,7 @@ def test_standard_error_with_coloured_noise_has_the_right_size(series, white_ove
 
 
 @pytest.mark.long
-def test_standard_errors_agree_with_the_spread_over_seeds():
+def test_standard_errors_of_the_payload_agree_with_the_spread_over_seeds():
     """Only encoder and force noise, for each unknown. Both figures are known to some 15 %."""
     signals = made(Model(LADEN, **FRICTION), 6.0)
     found = [fitted(noisy(signals, np.random.default_rng(seed))) for seed in range(30)]

@@ -56,7 +56,7 @@ def omega(t):
 
 
 @pytest.mark.parametrize("t", [0.1, 0.7, 1.9])
-def test_force_is_the_sum_of_newtons_law_over_the_points(t):
+def test_regressor_force_is_the_sum_of_newtons_law_over_a_cloud_of_points(t):
     (p, R), a = pose(t), second_difference(places, t)
     each = MASSES[:, None] * (a - GRAVITY)
     expected = np.concatenate([each.sum(axis=0), np.cross(places(t) - p, each).sum(axis=0)])
@@ -67,7 +67,7 @@ def test_force_is_the_sum_of_newtons_law_over_the_points(t):
 
 
 @pytest.mark.parametrize("case", CASES[:12])
-def test_force_for_another_platform_differs_by_the_parameter_difference(case):
+def test_regressor_times_parameter_difference_is_the_force_difference_of_two_platforms(case):
     """The legs and their inertia cancel: the model is linear in the platform's parameters."""
     p, R, twist, dtwist, wrench, _ = state_of(case)
     platform = PLATFORMS[case["geometry"]]
@@ -98,7 +98,7 @@ def test_body_and_its_ten_parameters_convert_into_each_other():
     np.testing.assert_allclose(parameters_of(body), cloud(), rtol=0, atol=1e-12)
 
 
-def test_any_ten_log_cholesky_numbers_make_a_body_and_are_recovered():
+def test_any_ten_log_cholesky_parameters_give_a_physical_body_and_are_recovered():
     for x in RNG.normal(0.0, 1.5, (50, 10)):
         theta = from_log_cholesky(x)
         assert theta[0] > 0.0

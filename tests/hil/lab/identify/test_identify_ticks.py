@@ -48,7 +48,7 @@ def without(*ticks):
     return [k not in ticks and k + 1 not in ticks for k in range(COUNT - 1)]
 
 
-def test_missing_ticks_and_stale_legs_are_not_used(usable):
+def test_identification_skips_missing_ticks_and_ticks_with_stale_legs(usable):
     assert usable(running()) == without()
     assert usable(running([k for k in range(COUNT) if k not in {3, 7, 8}])) == without(3, 7, 8)
     for leg in range(6):
@@ -76,7 +76,7 @@ def fused(c):
 
 
 @pytest.mark.parametrize("excite", [excited, excited_axes])
-def test_fused_pose_is_refused_before_a_run(excite):
+def test_identification_with_a_fused_pose_is_refused_before_the_run(excite):
     c = fused(load("virtual"))
     with pytest.raises(ConfigurationError, match="fused"):
         excite(c, None, None)

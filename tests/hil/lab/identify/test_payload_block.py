@@ -71,7 +71,7 @@ def of_platform(body, scale=1.0):
         BOX | {"frame": READ["frame"]},
     ],
 )
-def test_pasted_block_gives_the_identified_body(body):
+def test_printed_payload_block_pasted_into_the_configuration_gives_the_identified_body(body):
     c = of_platform(body)
     pasted = changed(c, **yaml.safe_load(block_text(whole(c))))
     theta = parameters_of(build_platform(pasted.platform).platform)
@@ -79,7 +79,7 @@ def test_pasted_block_gives_the_identified_body(body):
 
 
 @pytest.mark.parametrize(("hidden", "reset"), [(0.0, True), (0.5, False)])
-def test_inertia_scale_is_reset_only_if_the_body_is_in_the_block(hidden, reset):
+def test_printed_payload_block_resets_inertia_scale_only_if_it_contains_the_body(hidden, reset):
     """After pasting, the scaled reflected masses are the identified ones."""
     c = of_platform(FIGURES, 0.8)
     keys = yaml.safe_load(block_text(whole(c, hidden)))

@@ -80,7 +80,7 @@ WITHIN = {
 
 
 @pytest.mark.parametrize("name", broad(WITHIN, quick=1))
-def test_error_falls_in_every_run_within_the_stated_uncertainty(name: str) -> None:
+def test_learning_reduces_the_error_in_every_run_on_plants_within_the_stated_uncertainty(name: str) -> None:
     errors, end = learn(WITHIN[name], 6)
     assert end in {"learned", "floor"}
     assert errors[1] < 0.75 * errors[0]
@@ -114,18 +114,18 @@ BEYOND = {
 
 
 @pytest.mark.parametrize("name", broad(BEYOND, quick=1))
-def test_beyond_the_uncertainty_learning_ends_before_the_error_grows(name: str) -> None:
+def test_learning_on_plants_beyond_the_stated_uncertainty_ends_before_the_error_grows(name: str) -> None:
     errors, end = learn(BEYOND[name], 10)
     assert max(errors, default=0.0) <= 1.55 * (errors[0] if errors else 0.0), "the first update is halved"
     falls = [after < before for before, after in pairwise(errors)]
-    assert all(falls[:-1]), "no run follows a worse one"
+    assert all(falls[:-1]), "learning must end after a run with a larger error"
     if end in {"learned", "floor"}:
         assert min(errors) < errors[0] / 20.0
     else:
         assert len(errors) <= 3
 
 
-def test_contradiction_names_the_leg_with_a_wrong_sign() -> None:
+def test_learning_with_a_wrong_force_sign_ends_and_reports_the_leg() -> None:
     found = contradicted_by(BEYOND["one learned force of the wrong sign"])
     assert found.axis == 3
     assert found.factor == pytest.approx(1.5, abs=0.1), "e_1 = e_0 + P_0 L e_0 / 2"

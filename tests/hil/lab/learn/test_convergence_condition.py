@@ -48,7 +48,7 @@ def test_contraction_bound_holds_for_every_axis_within_the_uncertainty() -> None
     assert largest[1:] == pytest.approx(c[1:], rel=1e-3)
 
 
-def test_bound_covers_the_stated_gain_and_delay_errors() -> None:
+def test_uncertainty_bound_covers_the_stated_gain_and_delay_errors() -> None:
     bound = stated(0.25, 1e-3, 100.0)
     f = np.linspace(0.1, 99.0, 50)
     off = np.array(
@@ -59,10 +59,10 @@ def test_bound_covers_the_stated_gain_and_delay_errors() -> None:
         ]
     )
     np.testing.assert_allclose(bound.at(f), off.max(axis=0), atol=1e-5)
-    assert np.isinf(bound.at(np.array([100.1]))).all(), "no bound is stated beyond"
+    assert np.isinf(bound.at(np.array([100.1]))).all(), "the uncertainty must be infinite above 100 Hz"
 
 
-def test_filter_is_the_widest_that_meets_the_condition() -> None:
+def test_learning_filter_is_the_widest_that_meets_the_convergence_condition() -> None:
     c = contraction([LOOP], F, stated(0.25, 1e-3, 100.0))
     found = choose(c, F)
     finite = np.where(np.isfinite(c), c, 1e300)
@@ -71,7 +71,7 @@ def test_filter_is_the_widest_that_meets_the_condition() -> None:
     assert 60.0 < found.Q.end_Hz < 100.0
 
 
-def test_effect_of_a_learned_acceleration_is_predicted() -> None:
+def test_predicted_effect_of_a_learned_acceleration_agrees_with_a_simulation() -> None:
     """The simulation uses Euler steps of a tenth of a tick; the prediction uses the exact axis."""
     a = np.zeros((LEAD + 1000, 6))
     t = T * np.arange(1000)[:, None]
@@ -108,20 +108,20 @@ def test_look_ahead_law_includes_learned_accelerations_in_its_prediction() -> No
     assert np.abs(e - expected).max() < 0.01 * np.abs(e).max()
 
 
-def test_update_with_the_true_axis_removes_the_error_within_the_filter() -> None:
+def test_learning_update_with_the_true_axis_removes_the_error_within_the_filter_band() -> None:
     e0, de0 = run(Plant(), np.zeros((LEAD + 1000, 6)), 0.9) or (None, None)
     assert e0 is not None
     assert de0 is not None
     first = trial(T, LEAD, e0, de0, np.zeros_like(e0), np.full(6, 20.0))
     loops, f = nominal(first.e)
     a = updated(first, loops, Filter(80.0), f)
-    assert not a[0].any(), "it begins at zero"
+    assert not a[0].any(), "the learned acceleration must begin at zero"
     assert np.abs(predicted(first, a, loops)).max() < 0.01 * first.peak_m
     half = updated(first, loops, Filter(80.0), f, 0.5)
     np.testing.assert_allclose(half, 0.5 * a, atol=1e-12)
 
 
-def test_growing_error_without_an_update_is_a_contradiction() -> None:
+def test_growing_error_without_a_learned_change_contradicts_the_stated_uncertainty() -> None:
     """Beyond the stated band the contraction is infinite; its product with a zero change must be zero."""
     zero = np.zeros((LEAD + 1000, 6))
     e = zero.copy()
@@ -133,7 +133,7 @@ def test_growing_error_without_an_update_is_a_contradiction() -> None:
     assert said is not None
     assert said.axis == 2
     assert said.factor == pytest.approx(3.0, rel=1e-6)
-    assert said.allowed == pytest.approx(1.5, rel=1e-6), "the old error times the margin"
+    assert said.allowed == pytest.approx(1.5, rel=1e-6), "allowed: the previous error times the margin"
 
 
 WN = [20.0, 20.0, 25.0, 15.0, 20.0, 30.0]
@@ -166,7 +166,7 @@ def test_model_of_a_look_ahead_law_uses_its_own_bus_lag_and_hold(
         np.testing.assert_allclose(loop.P, axis_loop(axis, law, f, looks_ahead=True).P, rtol=1e-9)
 
 
-def test_worst_of_unequal_legs_bounds_the_contraction() -> None:
+def test_contraction_bound_of_unequal_legs_is_that_of_the_worst_leg() -> None:
     """Each axis is off by W at its own worst angle, in its own closed loop: all stay within the bound."""
     W, f = 0.3, frequencies(2500, T)
     unlike = [

@@ -61,7 +61,7 @@ def run_of(number: int, share: float = 1.0, c: Configuration = C) -> LearningRun
 
 
 @pytest.mark.parametrize("number", [0, 1, 5])
-def test_growing_error_is_a_contradiction_at_any_place_in_a_series(number: int) -> None:
+def test_growing_error_ends_a_learning_series_as_contradicted_at_any_run(number: int) -> None:
     outcome = learned([run_of(number), run_of(number + 1, 2.0)], Knowledge())
     assert (outcome.state, outcome.text) == ("contradicted", "")
     found = outcome.steps[-1].contradicted
@@ -70,7 +70,7 @@ def test_growing_error_is_a_contradiction_at_any_place_in_a_series(number: int) 
 
 
 @pytest.mark.parametrize("number", [0, 1, 5])
-def test_error_of_the_first_run_is_passed_from_file_to_file(number: int) -> None:
+def test_error_of_the_first_run_is_passed_on_in_every_feedforward_file(number: int) -> None:
     outcome = learned([run_of(number), run_of(number + 1, 0.5)], Knowledge())
     assert outcome.state == "learned"
     head, _, start_s, _ = read_feedforward(outcome.text.encode(), "next.csv")
@@ -83,7 +83,7 @@ def test_error_of_the_first_run_is_passed_from_file_to_file(number: int) -> None
 
 @pytest.mark.parametrize("what", ["reference", "controller", "platform"])
 @pytest.mark.parametrize("other", [0, 2])
-def test_runs_of_different_machines_are_refused(what: str, other: int) -> None:
+def test_learning_from_runs_of_different_machines_is_refused(what: str, other: int) -> None:
     series = [run_of(0), run_of(1), run_of(2)]
     series[other] = series[other]._replace(made_for=MADE_FOR.model_copy(update={what: "another"}))
     with pytest.raises(LogError, match=f"its {what}, .*, differs from"):
@@ -116,7 +116,7 @@ def taken(folder: Path, text: str, section: dict[str, Any]) -> float:
         (0.00007, 0.0),
     ],
 )
-def test_run_accepts_forces_cut_at_a_limit_with_many_digits(
+def test_run_accepts_learned_forces_cut_at_a_limit_with_many_digits(
     tmp_path: Path, limit_N: float, peak_N: float
 ) -> None:
     outcome = learned([run_of(0)], Knowledge(limit_N=limit_N))
@@ -131,7 +131,7 @@ SHARES = {"learned": 0.5, "floor": 0.98, "contradicted": 2.0}
 
 @pytest.mark.parametrize("state", SHARES)
 @pytest.mark.parametrize("trouble", ["", "run 2: a fault", "interrupted"])
-def test_series_succeeds_without_contradiction_and_failure(state: str, trouble: str) -> None:
+def test_learning_series_succeeds_only_without_contradiction_and_failure(state: str, trouble: str) -> None:
     outcome = learned([run_of(0), run_of(1, SHARES[state])], Knowledge())
     interrupted = trouble == "interrupted"
     found = summary(Series(outcome.steps, outcome, 300.0, outcome.text, trouble, interrupted), OUT)
@@ -198,7 +198,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.mark.parametrize(
     ("number", "call", "error"), [(1 + k % 2, *each) for k, each in enumerate(FAILURES)], ids=str
 )
-def test_failure_of_a_later_run_ends_the_series_and_keeps_the_best_file(
+def test_failure_of_a_later_run_ends_the_learning_series_and_keeps_the_best_file(
     runs: Any, tmp_path: Path, number: int, call: str, error: Exception
 ) -> None:
     runs(number, call, error)
@@ -209,7 +209,9 @@ def test_failure_of_a_later_run_ends_the_series_and_keeps_the_best_file(
 
 
 @pytest.mark.parametrize(("call", "error"), FAILURES, ids=str)
-def test_failure_of_the_first_run_is_raised(runs: Any, tmp_path: Path, call: str, error: Exception) -> None:
+def test_failure_of_the_first_learning_run_is_raised(
+    runs: Any, tmp_path: Path, call: str, error: Exception
+) -> None:
     runs(0, call, error)
     with pytest.raises((HilError, OSError)) as told:
         rehearse(C, 5, Knowledge(), tmp_path, lambda _: None)

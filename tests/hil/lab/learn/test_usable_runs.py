@@ -40,7 +40,7 @@ def whole(rows: Any) -> tuple[int, Any]:
 
 
 @pytest.mark.parametrize(("approach", "lead"), [(0, 0), (1, 1), (200, 200), (LEAD, LEAD), (900, LEAD)])
-def test_end_of_the_approach_is_used_as_lead(approach: int, lead: int) -> None:
+def test_ticks_at_the_end_of_the_approach_are_used_before_the_path(approach: int, lead: int) -> None:
     found, rows = whole(rows_of(approach))
     assert (found, len(rows)) == (lead, lead + COUNT)
     np.testing.assert_array_equal(rows["tick"], 7000 + approach - lead + np.arange(lead + COUNT))
@@ -48,7 +48,7 @@ def test_end_of_the_approach_is_used_as_lead(approach: int, lead: int) -> None:
 
 @pytest.mark.parametrize("approach", [200, 900])
 @pytest.mark.parametrize("lost", [[1], [150, 199]])
-def test_approach_with_a_lost_tick_is_not_used_as_lead(approach: int, lost: list[int]) -> None:
+def test_learning_uses_no_ticks_of_an_approach_with_a_lost_tick(approach: int, lost: list[int]) -> None:
     """lost: ticks counted back from the start of the reference."""
     found, rows = whole(np.delete(rows_of(approach), approach - np.array(lost)))
     assert found == 0
@@ -59,7 +59,7 @@ def test_approach_with_a_lost_tick_is_not_used_as_lead(approach: int, lost: list
     "limit", [Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW], ids=lambda w: w.name
 )
 @pytest.mark.parametrize("at", [-LEAD, -1, 0, COUNT - 1], ids=str)
-def test_run_with_forces_cut_by_a_limit_is_refused(limit: Warn, at: int) -> None:
+def test_learning_from_a_run_with_forces_cut_by_a_limit_is_refused(limit: Warn, at: int) -> None:
     rows = rows_of(500)
     rows["warnings"][500 + at] = int(limit)
     with pytest.raises(LogError, match="limits cut"):
@@ -67,7 +67,7 @@ def test_run_with_forces_cut_by_a_limit_is_refused(limit: Warn, at: int) -> None
 
 
 @pytest.mark.parametrize("rate_Hz", [500.0, 1001.0])
-def test_run_at_another_rate_than_configured_is_refused(
+def test_learning_from_a_run_at_another_rate_than_configured_is_refused(
     monkeypatch: pytest.MonkeyPatch, rate_Hz: float
 ) -> None:
     """`hil run` reduces the rate if a machine cannot hold it, which changes period and delays."""

@@ -65,7 +65,7 @@ def wait_for_a_row(out, process, within_s=300.0):
     """Wait until the first row is on the disk."""
     end = time.monotonic() + within_s
     while not _has_rows(out / "campaign.sqlite"):
-        assert process.poll() is None, "it has ended"
+        assert process.poll() is None, "the process ended too early"
         assert time.monotonic() < end
         time.sleep(0.02)
 
@@ -89,7 +89,7 @@ def kill_thrice(plan, out, chance, *words):
             if k == 0:
                 wait_for_a_row(out, process)
             time.sleep(chance.uniform(0.0, 1.0) if k == 0 else chance.uniform(0.5, 4.0))
-            assert process.poll() is None, "it was over before"
+            assert process.poll() is None, "the process ended before it could be killed"
             os.kill(process.pid, signal.SIGKILL)
             process.wait()
             assert _gone(process.pid, 20.0)

@@ -35,7 +35,7 @@ def small(tmp_path_factory):
     return plan, folder / "results", run_campaign(plan, folder / "results", jobs=1)
 
 
-def test_a_row_contains_its_axis_values_and_its_outcome(small):
+def test_campaign_row_contains_its_axis_values_and_its_outcome(small):
     plan, folder, summary = small
     rows = pq.read_table(folder / "table.parquet").to_pylist()
     assert rows == summary["matrix"]
@@ -72,7 +72,7 @@ def test_an_interrupted_campaign_continues_to_the_same_table(small, tmp_path):
     assert again["matrix"] == summary["matrix"]
 
 
-def test_a_repeated_row_and_its_log_give_bitwise_equal_figures(small, tmp_path):
+def test_repeated_campaign_row_and_its_log_give_bitwise_equal_figures(small, tmp_path):
     plan, folder, summary = small
     with pytest.raises(ConfigurationError, match="row 4: allowed: 0 to 3"):
         rerun(plan, folder, 4, None)
@@ -90,7 +90,7 @@ def test_a_repeated_row_and_its_log_give_bitwise_equal_figures(small, tmp_path):
         assert log[name] == pytest.approx(row[name], rel=1e-12)
 
 
-def test_a_difference_of_one_bit_to_the_stored_figure_is_reported(small, tmp_path):
+def test_rerun_reports_a_difference_of_one_bit_to_the_stored_figure(small, tmp_path):
     plan, _, summary = small
     rows = [dict(row) for row in summary["matrix"]]
     rows[2]["peak_force_N"] = float(np.nextafter(rows[2]["peak_force_N"], np.inf))
@@ -103,7 +103,7 @@ def test_a_difference_of_one_bit_to_the_stored_figure_is_reported(small, tmp_pat
     assert "peak_force_N of run again" in found["trouble"]
 
 
-def test_a_run_ends_as_soon_as_it_exceeds_a_limit(small, tmp_path):
+def test_campaign_run_ends_as_soon_as_it_exceeds_a_limit(small, tmp_path):
     text = SMALL.replace("0.05", "0.5") + "limits: {peak_true_leg_error_mm: {max: 1e-4}}\n"
     plan = read_plan(written(tmp_path, text))
     row = run_row(plan.job(0))
@@ -113,7 +113,7 @@ def test_a_run_ends_as_soon_as_it_exceeds_a_limit(small, tmp_path):
     assert small[2]["matrix"][0]["passed"]
 
 
-def test_an_impossible_combination_is_a_failed_row_with_its_reason(tmp_path):
+def test_campaign_row_with_an_invalid_combination_of_values_fails_with_the_reason(tmp_path):
     """The path needs 0.847 m: each value alone allows it, both together do not."""
     text = """
     kind: campaign
@@ -131,7 +131,7 @@ def test_an_impossible_combination_is_a_failed_row_with_its_reason(tmp_path):
     assert {row[name] for name in METRICS} == {None}
 
 
-def test_any_exception_of_a_law_fails_only_its_row_and_is_reproducible(small, tmp_path, monkeypatch):
+def test_exception_of_a_law_fails_only_its_campaign_row_and_is_reproducible(small, tmp_path, monkeypatch):
     def diverging(*_):
         raise ValueError("array must not contain infs or NaNs")
 
@@ -145,7 +145,7 @@ def test_any_exception_of_a_law_fails_only_its_row_and_is_reproducible(small, tm
         rerun(plan, tmp_path, 2, tmp_path / "row.mcap")
 
 
-def test_until_parked_and_after_fault_rest_run_to_the_end(tmp_path):
+def test_campaign_rows_with_until_parked_and_after_fault_rest_run_to_standstill(tmp_path):
     text = SMALL.replace("duration_s: 0.05", "duration_s: 0.05\nuntil: parked\nafter_fault: rest")
     plan = read_plan(written(tmp_path, text))
     parked, stopped = run_row(plan.job(0)), run_row(plan.job(1))

@@ -140,7 +140,7 @@ def test_the_table_is_the_same_after_kill_9_of_command_and_worker(many, tmp_path
 
 
 @pytest.mark.long
-def test_a_row_that_kills_its_workers_fails_alone(tmp_path):
+def test_campaign_row_that_kills_its_workers_fails_alone(tmp_path):
     """The other rows wait at the same workers and run again, one at a time."""
     plan = read_plan(written(tmp_path, SMALL))
     (tmp_path / "deadly.py").write_text(DEADLY)

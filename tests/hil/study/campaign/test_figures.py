@@ -29,7 +29,7 @@ def figures(rows, lengths, *, travels=False):
     return measured.figures()
 
 
-def test_peaks_and_means_cover_only_tracking_ticks():
+def test_peaks_and_means_of_errors_cover_only_tracking_ticks():
     rows, lengths = ticks()
     rows["q"][5, 0] = 2.0  # still on the way to the reference
     rows["q"][20, 3] = 0.998
@@ -51,7 +51,7 @@ def test_peaks_and_means_cover_only_tracking_ticks():
     assert found["tracked_s"] == rows["reference_time_s"][-1]
 
 
-def test_peak_force_covers_the_run_and_variation_continues_across_blocks():
+def test_peak_force_covers_the_whole_run_and_force_variation_continues_across_blocks():
     rows, lengths = ticks()
     rows["tau"][3, 2] = -500.0  # before it tracks
     rows["tau"][BLOCK:, 1] = 40.0  # a jump between two blocks

@@ -43,7 +43,7 @@ def plan(tmp_path_factory):
     return read_plan(written(tmp_path_factory.mktemp("plan"), text))
 
 
-def test_samples_list_rows_and_grid_are_fully_combined(plan):
+def test_campaign_combines_every_sample_with_every_list_row_and_grid_point(plan):
     rows = [plan.values(k) for k in range(len(plan))]
     (a, b) = dict.fromkeys(row.pop("mass_kg") for row in rows)
     listed = [{"wn": 10, "place_m": 0.1}, {"wn": 20, "place_m": 0.2}]
@@ -79,7 +79,7 @@ def axis(**words):
 
 
 @pytest.mark.parametrize("method", broad(["sobol", "latin_hypercube"], 1))
-def test_sixteen_points_have_one_in_each_sixteenth_of_every_axis(method):
+def test_sixteen_sample_points_have_one_in_each_sixteenth_of_every_axis(method):
     """A net of base 2, and a Latin hypercube: https://docs.scipy.org/doc/scipy/reference/stats.qmc.html."""
     axes = {name: axis(uniform=(0.0, 16.0)) for name in "abc"}
     points = np.array(Sample(method=method, count=16, seed=5, axes=axes).draw())
@@ -152,7 +152,7 @@ def test_minimum_and_maximum_of_a_limit_may_be_equal(tmp_path):
     assert [limit.passed_by(value) > 0.0 for value in (0, 1, None)] == [True, False, True]
 
 
-def test_an_error_of_one_axis_is_reported_only_for_that_axis(tmp_path):
+def test_error_of_one_campaign_axis_is_reported_only_for_that_axis(tmp_path):
     text = """
     kind: campaign
     grid:
@@ -185,7 +185,7 @@ def emulated(plan, row):
     return plant
 
 
-def test_an_axis_inside_the_value_of_another_changes_only_its_own_row(tmp_path):
+def test_campaign_axis_inside_the_value_of_another_axis_changes_only_its_own_row(tmp_path):
     text = """
     kind: campaign
     duration_s: 0.05
@@ -200,7 +200,7 @@ def test_an_axis_inside_the_value_of_another_changes_only_its_own_row(tmp_path):
     assert [plan.values(k)["place"] for k in (1, 3)] == [[0, 0, 0], [0, 0, 0.1]]
 
 
-def test_rows_never_wait_for_an_operator(tmp_path):
+def test_campaign_rows_never_wait_for_an_operator(tmp_path):
     """Otherwise it would wait at the start of its path, without an error, and pass."""
     text = SMALL + "changes: {operator: {start: asked, deadman_s: 0.2, stays: true}}\n"
     operator = row_configuration(read_plan(written(tmp_path, text)).job(0)).operator

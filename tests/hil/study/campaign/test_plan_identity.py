@@ -14,7 +14,7 @@ from tests.drivers.cia402_sheet import sheet
 from tests.hil.study.campaign.campaigns import SMALL, written
 
 
-def test_the_identity_depends_on_rows_and_configuration_only(tmp_path):
+def test_campaign_identity_depends_on_rows_and_configuration_only(tmp_path):
     def parts(text, name="c.yaml"):
         return identity(read_plan(written(tmp_path, text, name)))
 
@@ -37,7 +37,7 @@ def path_csv(end_m):
 SAMPLED = SMALL + "changes: {reference: {type: sampled, path: path.csv}}\n"
 
 
-def test_the_content_of_a_named_file_is_part_of_the_identity(tmp_path):
+def test_content_of_a_referenced_file_is_part_of_the_campaign_identity(tmp_path):
     """Next to the configuration, or next to the campaign if the configuration is a shipped one."""
     (tmp_path / "own.yaml").write_text(load("virtual").text)
     for text in (SAMPLED, SAMPLED.replace("configuration: virtual", "configuration: own.yaml")):
@@ -52,7 +52,7 @@ def test_the_content_of_a_named_file_is_part_of_the_identity(tmp_path):
         assert other == elsewhere
 
 
-def test_a_file_next_to_the_configuration_is_found_before_the_campaigns(tmp_path):
+def test_file_next_to_the_configuration_takes_precedence_over_one_next_to_the_campaign(tmp_path):
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "own.yaml").write_text(load("virtual").text)
     (tmp_path / "path.csv").write_text(path_csv(1.001))
@@ -95,7 +95,7 @@ def test_a_row_whose_file_was_deleted_is_refused(tmp_path):
         run_row(plan.job(0))
 
 
-def test_files_are_not_searched_in_the_working_directory(tmp_path, monkeypatch):
+def test_files_of_a_campaign_are_not_searched_in_the_working_directory(tmp_path, monkeypatch):
     """`hil check` and `hil sim` do not search there either."""
     for name in ("here", "campaign"):
         (tmp_path / name).mkdir()
@@ -118,7 +118,7 @@ FOLDERS = ("here", "robot", "campaign")
 
 @pytest.mark.parametrize("text", [CHANGED, SWEPT], ids=["changed", "swept"])
 @pytest.mark.parametrize("first", range(3), ids=FOLDERS)
-def test_a_row_reads_the_campaigns_data_sheet_in_any_working_directory(tmp_path, monkeypatch, text, first):
+def test_campaign_row_reads_its_drive_eds_in_any_working_directory(tmp_path, monkeypatch, text, first):
     for name in ("elsewhere", *FOLDERS):
         (tmp_path / name).mkdir()
         if name not in FOLDERS[:first]:

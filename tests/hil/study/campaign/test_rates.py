@@ -27,19 +27,19 @@ def row(number, *, passed=True, ended="complete", ended_s=1.0, trouble="", **val
         (0, 20, 0.0, 0.1611),
     ],
 )
-def test_the_interval_agrees_with_published_wilson_intervals(passed, n, low, high):
+def test_interval_of_a_pass_rate_agrees_with_published_wilson_intervals(passed, n, low, high):
     assert wilson(passed, n) == pytest.approx((low, high), abs=5e-5)
     assert wilson(0, 0) == (0.0, 1.0)
 
 
-def test_options_are_listed_in_the_order_of_the_file():
+def test_pass_rates_of_axis_options_are_listed_in_the_order_of_the_file():
     axis = ListedAxis(options={"pd": {}, "inverse": {}})
     rows = [row(0, law="inverse"), row(1, law="pd", passed=False), row(2, law="inverse")]
     found = by_value("law", axis, rows)
     assert [(r.label, r.rows, r.passed) for r in found] == [("pd", 1, 0), ("inverse", 2, 2)]
 
 
-def test_an_axis_with_many_numbers_is_split_into_quarters_by_value():
+def test_pass_rates_of_an_axis_with_many_numbers_are_listed_by_quarters_of_its_values():
     axis = SampledAxis(key="x.y", uniform=(0.0, 20.0))
     rows = [row(k, mass=float(19 - k), passed=k >= 5) for k in range(20)]
     found = by_value("mass", axis, rows)
@@ -49,7 +49,7 @@ def test_an_axis_with_many_numbers_is_split_into_quarters_by_value():
     ]
 
 
-def test_the_worst_row_of_each_cause_comes_first():
+def test_worst_row_of_each_failure_cause_is_listed_first():
     rows = [
         row(0, passed=False, peak_force_N=110.0),
         row(1),

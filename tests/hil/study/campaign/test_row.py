@@ -37,13 +37,13 @@ def test_the_sensor_seed_of_a_row_is_the_configured_one_plus_the_rows_seed(tmp_p
     ("how", "passed"),
     [("complete", True), ("fault", True), ("limit", False), ("stopped", False), ("plant", False)],
 )
-def test_a_row_passes_only_if_its_run_completed_or_ended_in_a_fault(plan, how, passed):
+def test_campaign_row_passes_only_if_its_run_completed_or_ended_in_a_fault(plan, how, passed):
     measured = SimpleNamespace(figures=lambda: dict.fromkeys(METRICS, 0))
     ended = row.Ended(how, "", Fault(0), 5)
     assert row.outcome(plan.job(0), 1e3, ended, cast("Measurement", measured))["passed"] is passed
 
 
-def test_a_row_without_end_fails_an_hour_after_its_reference(plan, monkeypatch):
+def test_campaign_row_that_does_not_end_fails_an_hour_after_its_reference(plan, monkeypatch):
     assert row.LONGEST_S == 3600.0
     monkeypatch.setattr(row, "LONGEST_S", 0.05)
     job = plan.job(0)

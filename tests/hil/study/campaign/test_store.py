@@ -64,7 +64,7 @@ for k in itertools.count():
 """
 
 
-def test_every_added_row_survives_kill_9(tmp_path):
+def test_every_row_added_to_a_campaign_survives_kill_9(tmp_path):
     for instant in (0.0, 0.03, 0.1):
         folder = tmp_path / str(instant)
         with subprocess.Popen(
@@ -98,7 +98,7 @@ def test_rows_of_another_campaign_are_refused_with_the_differing_parts(tmp_path)
     assert stored_rows(tmp_path, OTHER) == {0: ROWS[0]}
 
 
-def test_two_processes_do_not_share_a_folder(tmp_path):
+def test_second_process_is_refused_in_the_folder_of_a_running_campaign(tmp_path):
     with opened(tmp_path) as store:
         store.add(ROWS[0])
         with pytest.raises(LogError, match="another process runs this campaign; wait"):

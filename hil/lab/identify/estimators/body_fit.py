@@ -37,9 +37,10 @@ WEAK = 10.0
 """F statistic of the first stage below which instruments are weak (D. Staiger and J. H. Stock, Econometrica
 65, 1997).
 """
-SERIES = 32
-"""Terms of the cosine series: degrees of freedom of an error over its standard error, so that one of 2,900 is
-beyond four. With more terms, noise that grows with frequency is overstated."""
+SERIES, FEW, ALIKE = 96, 32, 2.0
+"""Terms of the cosine series, degrees of freedom of an error over its standard error. Only the first 32 are
+used if the others exceed them more than two-fold: those overstate noise that grows with frequency.
+"""
 FEWEST_SAMPLES = 100
 ROUNDS = 3
 """Rounds of weighting by the residuals."""
@@ -143,7 +144,7 @@ def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
     """Covariance (k, k) of the least squares of Z x = y with coloured residuals (m,).
 
     A^-1 (mean over j of L_j L_j^T) A^-1, A = Z^T Z, L_j = sqrt(2) sum_t cos(pi j (t - 1/2) / n) s_t with the
-    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 32. The factor m / (m - k)
+    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. SERIES. The factor m / (m - k)
     accounts for the k fitted unknowns.
     """
     m, k = Z.shape
@@ -154,7 +155,10 @@ def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
     j = np.arange(1, SERIES + 1)[:, None]
     L = np.sqrt(2.0) * np.cos(np.pi * j * (np.arange(n) + 0.5) / n) @ scores
     half = np.linalg.solve(Z.T @ Z, L.T)
-    return np.asarray(half @ half.T / SERIES * (m / max(m - k, 1)), np.float64)
+    first, rest = ((part**2).mean(axis=1) for part in (half[:, :FEW], half[:, FEW:]))
+    if np.mean(rest / first) > ALIKE:
+        half = half[:, :FEW]
+    return np.asarray(half @ half.T / half.shape[1] * (m / max(m - k, 1)), np.float64)
 
 
 def prediction_error(equations: Equations, theta: Array) -> float:

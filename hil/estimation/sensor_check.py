@@ -1,7 +1,8 @@
 """Sensors next to the drives, compared with the legs: the mean difference of each, as a share of its limit.
 
 The legs give pose, rates, lengths and forces of the tick; the newest sample of a sensor is compared with what
-they were at its instant, by the rates of the tick. The mean is exponential over SAMPLES samples.
+they were at its instant, by the rates of the tick. The mean is exponential over SAMPLES samples, each the one
+of the last two that is nearer to it: a single outlier does not count.
 """
 
 from math import inf, isinf, isnan, nan
@@ -106,8 +107,11 @@ def compare(k: Any, sensors: Any, mode: int, fusing: int, tick: Any) -> int:
         if of.count > 0 and difference(tick, slot, of.last, age_s, gap, rate):
             of.compared += 1
             for j in range(QUANTITIES):
-                before = of.mean[j] if of.compared > 1 else 0.0
-                of.mean[j] = before + (gap[j] - before) / min(of.compared, SAMPLES)
+                if of.compared == 1:
+                    of.gap[j] = of.mean[j] = gap[j]
+                now, was = gap[j], of.gap[j]
+                of.gap[j], gap[j] = now, now if abs(now - of.mean[j]) < abs(was - of.mean[j]) else was
+                of.mean[j] += (gap[j] - of.mean[j]) / min(of.compared, SAMPLES)
             if LENGTH <= slot < FORCE:
                 tick.length_gap_now[slot - LENGTH] = gap[0]
         share = nan

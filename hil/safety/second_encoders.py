@@ -27,7 +27,7 @@ NONE, STOPS, WARNS = range(3)
 SECOND_MEMORY = [
     ("followed", "<i8"),  # bit i: the difference of leg i is known
     ("sampled", "<i8", (LEGS,)),  # tick of its last sample
-    ("apart", "<i8", (LEGS,)),  # ticks since the two encoders contradict each other
+    ("apart", "<i8", (LEGS,)),  # ticks since the two encoders contradict each other; < 0: agree
     ("gap_was", "<f8", (LEGS,)), ("gap_fast", "<f8", (LEGS,)), ("gap_slow", "<f8", (LEGS,)),  # m
     ("gap_like", "<f8", (LEGS,)),  # m, a mean over the same time as that of the tracker
     ("tracker_was", "<f8", (LEGS,)),  # m, tracker less drive's encoder while the two agreed
@@ -59,13 +59,13 @@ def _follow(tick: Any, limits: Any, memory: Any, leg: int, allowed: float, x: An
         return
     jump, dt = abs(now - memory.gap_was[leg]), (tick.tick - memory.sampled[leg]) * limits.period_s
     memory.gap_was[leg], memory.sampled[leg] = now, tick.tick
-    memory.gap_fast[leg] += (now - memory.gap_fast[leg]) * min(dt / FAST_S, 1.0)
+    memory.gap_fast[leg] += (now - memory.gap_fast[leg]) * min(dt / FAST_S, 0.5)
     memory.gap_slow[leg] += (now - memory.gap_slow[leg]) * min(dt / SLOW_S, 1.0)
     memory.gap_like[leg] += (now - memory.gap_like[leg]) * min(dt / limits.tracker_s, 1.0)
     if x["leap_bound"][leg] > 0.0:
         late = allowed + limits.period_s * abs(tick.rate[leg])
         swift = abs(memory.gap_fast[leg] - memory.gap_slow[leg]) > late + SLOW_S * x["leap_bound"][leg]
-        if swift or jump > late + x["bound"][leg]:
+        if swift or jump > late + limits.second_m + x["bound"][leg]:
             memory.suspect_tick[leg] = tick.tick + 1 + limits.second_ticks
 
 
@@ -116,12 +116,14 @@ def judge_second(tick: Any, limits: Any, memory: Any, x: Any) -> tuple[int, int,
         _follow(tick, limits, memory, leg, allowed, x)
         found = _on_brake(tick, memory, leg, allowed) if rests else 0
         if share > 1.0:
-            memory.apart[leg] += 1
+            memory.apart[leg] = max(memory.apart[leg], 0) + 1
             if memory.apart[leg] <= limits.second_ticks and tick.tick < memory.suspect_tick[leg]:
                 memory.second_wrong |= 1 << leg
             found = found or _decided(tick, limits, memory, leg)
         else:
-            memory.apart[leg] = 0
+            memory.apart[leg] = min(memory.apart[leg], 0) - 1 if share < QUIET else 0
+            if -memory.apart[leg] * limits.period_s > BASE_S:
+                memory.second_wrong &= ~(1 << leg)
             seen = by_tracker(tick, leg)
             if share < QUIET and not isnan(seen):
                 was = seen if isnan(memory.tracker_was[leg]) else memory.tracker_was[leg]

@@ -159,3 +159,41 @@ def test_silent_second_encoder_is_a_warning_and_no_contradiction():
     assert (of.faults, of.which) == (Fault.NONE, NOTHING)
     assert np.isinf(of.rows["sensor_share"][:, SENSORS.index("length_5")]).any()
     assert (of.rows["warnings"] & Warn.SENSOR).any()
+
+
+NOISY: dict[str, Any] = {"noise_m": 1e-4}
+STRAY: dict[str, Any] = {"noise_m": 3e-5, "outlier_percent": 0.5, "outlier_stds": 400}
+
+
+def noisy(noise: dict[str, Any], rate_Hz: float = 500, **sections: Any) -> Configuration:
+    """A bench whose second encoders run free, with noise."""
+    lengths = {
+        "rate_Hz": rate_Hz,
+        "channel": "sensors0",
+        "device": ENCODERS["device"] | {"trigger": "cyclic"},
+    }
+    plant = SOON["plant"] | {"sensors": {"lengths": noise}}
+    return bench(**{"sensors": {"lengths": lengths}, "plant": plant} | sections)
+
+
+@pytest.mark.parametrize("noise", [NOISY, STRAY])
+@pytest.mark.parametrize("rate_Hz", [100, 500])
+@pytest.mark.parametrize("reference", [REST, SOON["reference"]])
+def test_noise_and_single_outliers_of_second_encoders_are_no_contradiction(noise, rate_Hz, reference):
+    of = found(noisy(noise, rate_Hz, reference=reference))
+    assert (of.which, of.faults) == (NOTHING, Fault.NONE)
+
+
+@pytest.mark.parametrize("noise", [NOISY, STRAY])
+def test_noise_and_single_outliers_of_a_second_encoder_excuse_no_drift_of_the_drives(noise):
+    drift = kinds.EncoderDrift(leg=0, at_s=0.6, mode="TRACKING", by_m_s=5e-3)
+    of = found(noisy(noise, reference=REST), drift)
+    assert (of.which, of.leg) == (EITHER, 0)
+
+
+def test_second_encoder_that_agrees_again_counts_again():
+    rest = {"type": "hold", "duration_s": 6.0}
+    once = kinds.SensorOffset(sensor="length_0", at_s=0.2, for_s=0.5, mode="TRACKING", by=4e-3)
+    drift = kinds.EncoderDrift(leg=0, at_s=3.0, mode="TRACKING", by_m_s=5e-3)
+    of = found(bench(reference=rest), once, drift)
+    assert (of.which, of.leg) == (EITHER, 0)

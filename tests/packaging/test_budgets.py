@@ -11,7 +11,7 @@ BUDGETS = {
     "drivers": (10_585, 77_900),
     "plant_fmu": (9_740, 70_600),
     "hil/loop hil/operate": (6_770, 52_250),
-    "hil/safety hil/estimation": (3_415, 28_550),
+    "hil/safety hil/estimation": (3_418, 28_703),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
     "hil/record": (4_730, 37_300),
     "hil/config hil/app/configuration": (3_930, 25_700),
@@ -23,7 +23,7 @@ BUDGETS = {
     "hil/contracts": (1_720, 14_900),
     "tools": (2_706, 21_550),
     "configs": (210, 1_900),
-    "tests": (74_510, 664_250),
+    "tests": (74_544, 664_553),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

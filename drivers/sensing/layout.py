@@ -86,10 +86,15 @@ class Reception(NamedTuple):
     slots: Rows
     samples: Rows
 
+    def compare_again(self) -> None:
+        """Forget how the sensors differed from the legs."""
+        self.slots["compared"] = 0
+
     def forget(self) -> None:
         """Back to the state before any frame."""
+        self.compare_again()
         s = self.slots
-        s["counter"], s["last"], s["last_s"], s["got"], s["compared"] = NEVER, np.nan, -np.inf, 0, 0
+        s["counter"], s["last"], s["last_s"], s["got"] = NEVER, np.nan, -np.inf, 0
 
 
 def unheard(tables: Tables) -> Reception:

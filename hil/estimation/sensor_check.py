@@ -13,7 +13,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import pointed
-from drivers.sensing.kernels import age_of, slots_at
+from drivers.sensing.kernels import age_of, latched_ns, slots_at
 from drivers.sensing.layout import (
     FORCE,
     IMU,
@@ -62,7 +62,7 @@ def difference(tick: Any, slot: int, values: Array, dt: float, gap: Array, rate:
     if slot >= LENGTH:
         leg = slot - LENGTH
         rate[0] = tick.rate[leg]
-        dt += 1e-9 * (tick.latch_ns[leg] - tick.latch_ns.min())
+        dt += 1e-9 * (tick.t_ns + tick.lateness_ns + tick.latch_ns[leg] - latched_ns(tick))
         gap[0] = values[0] - (tick.length[leg] - rate[0] * dt)
         return bool(tick.age[leg] == 0)
     R = _rotation_then(tick, dt)
@@ -87,7 +87,7 @@ def difference(tick: Any, slot: int, values: Array, dt: float, gap: Array, rate:
     return True
 
 
-SEEN = record(TICK, "tick", "latch_ns", *part("measurement", "estimate"))
+SEEN = record(TICK, "tick", "t_ns", "lateness_ns", "latch_ns", *part("measurement", "estimate"))
 
 
 @pointed(record(WRENCH), record(SENSORS), INTEGER, INTEGER, SEEN)

@@ -38,6 +38,7 @@ class Sight:
 
     def forget(self) -> None:
         """Mark the pose as unknown: it is searched for again, from the last one."""
+        self.sensors.compare_again()
         self.located = self.sought = self.due = False
         """The pose has been found; it was searched for with six lengths of one tick; a search is due."""
         self.fusing = False

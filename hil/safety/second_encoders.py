@@ -62,7 +62,7 @@ def _follow(tick: Any, limits: Any, memory: Any, leg: int, allowed: float, x: An
     memory.gap_fast[leg] += (now - memory.gap_fast[leg]) * min(dt / FAST_S, 0.5)
     memory.gap_slow[leg] += (now - memory.gap_slow[leg]) * min(dt / SLOW_S, 1.0)
     memory.gap_like[leg] += (now - memory.gap_like[leg]) * min(dt / limits.tracker_s, 1.0)
-    if x["leap_bound"][leg] > 0.0:
+    if x["leap_bound"][leg] > 0.0 and limits.watched_legs >> leg & 1:
         late = allowed + limits.period_s * abs(tick.rate[leg])
         swift = abs(memory.gap_fast[leg] - memory.gap_slow[leg]) > late + SLOW_S * x["leap_bound"][leg]
         if swift or jump > late + limits.second_m + x["bound"][leg]:
@@ -110,7 +110,7 @@ def judge_second(tick: Any, limits: Any, memory: Any, x: Any) -> tuple[int, int,
         memory.rests = 0
     for leg in range(LEGS):
         gap, share = tick.length_gap[leg], tick.sensor_share[LENGTH + leg]
-        if isnan(gap) or isinf(share):
+        if isnan(gap) or isinf(share) or (tick.legs_lost | tick.legs_slipped) >> leg & 1:
             continue
         allowed = limits.second_m + limits.second_late_s * abs(tick.rate[leg])
         _follow(tick, limits, memory, leg, allowed, x)

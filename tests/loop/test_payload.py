@@ -7,6 +7,7 @@ motor inertia that its controller's model lacks. The plant's physics code is ind
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -208,10 +209,10 @@ def test_errors_agree_with_their_standard_errors(tmp_path):
     e = [
         relative_errors(name, axes, seed, tmp_path / f"{k}-{seed}.mcap")
         for k, (name, axes) in enumerate(MOTIONS)
-        for seed in range(3)
+        for seed in range(int(os.environ.get("SEEDS", "3")))
     ]
     assert 0.8 < np.sqrt(np.mean(np.square(e))) < 1.25
-    assert np.mean(np.abs(e) > 3.0) < 0.02
+    assert np.abs(e).max() < 4.0
 
 
 @pytest.mark.long

@@ -197,3 +197,12 @@ def test_second_encoder_that_agrees_again_counts_again():
     drift = kinds.EncoderDrift(leg=0, at_s=3.0, mode="TRACKING", by_m_s=5e-3)
     of = found(bench(reference=rest), once, drift)
     assert (of.which, of.leg) == (EITHER, 0)
+
+
+@pytest.mark.parametrize("fault", ["jump", "freeze"])
+def test_fused_pose_goes_on_without_a_drive_encoder_that_its_second_one_contradicts(fault):
+    fused = {"pose": "fused", "fusion": {"may_lose_legs": [2]}}
+    of = found(bench(tracker=True, estimation=fused), drives(2, 0.6)[fault])
+    assert of.which == NOTHING
+    assert Fault.ENCODER not in of.faults
+    assert of.rows["legs_slipped"][of.rows["mode"] == Mode.TRACKING][-1] == 1 << 2

@@ -8,10 +8,10 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
-    "drivers": (10_585, 77_900),
+    "drivers": (10_590, 77_900),
     "plant_fmu": (9_740, 70_600),
     "hil/loop hil/operate": (6_770, 52_250),
-    "hil/safety hil/estimation": (3_418, 28_703),
+    "hil/safety hil/estimation": (3_420, 28_750),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
     "hil/record": (4_730, 37_300),
     "hil/config hil/app/configuration": (3_930, 25_700),
@@ -23,7 +23,7 @@ BUDGETS = {
     "hil/contracts": (1_720, 14_900),
     "tools": (2_706, 21_550),
     "configs": (210, 1_900),
-    "tests": (74_544, 664_553),
+    "tests": (74_555, 664_700),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Bytes
 from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, record_at, records_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_measurement, code, frames_at, now_owed, still_owed, whole
+from drivers.sensing.kernels import put_real, put_single, rows_at
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 from drivers.transmission import FIELDS, loss_of
@@ -58,6 +58,7 @@ EAR = np.dtype(
         ("silence", "<i8"),  # fault code of a drive's own watchdog; -1: none
         ("stopped", "<i8"),  # fault code of an emergency stop; -1: none
         ("registers", "<i8"),  # 1: the drives answer reads of registers
+        ("table", "<i8"),  # address of the mapping of a DBC
         ("flags", "<i8"),  # FD and BRS, if the frames have them
         # used by all families
         ("hear", "<i8"),  # address of that function
@@ -77,6 +78,8 @@ KEEPS, FALLS, PREPARES = range(3)
 IN_IDENTIFIER = -1
 SIGNED = -16
 """Bits of a signed torque, little-endian."""
+MAPPED = -2
+"""Bits of a torque whose field is in the mapping of a DBC."""
 MOTORS = np.dtype(
     [
         # the family
@@ -84,7 +87,7 @@ MOTORS = np.dtype(
         ("frames", "<i8"),  # address of rows of six FRAME records
         ("rule", "<i8"),
         ("clears", "<i8"),  # 1: a drive in fault gets CLEAR while RESET is requested
-        ("torque_at", "<i8"),  # first byte of the torque, or IN_IDENTIFIER
+        ("torque_at", "<i8"),  # first byte of the torque, IN_IDENTIFIER, or with MAPPED address of its ROW
         ("torque_bits", "<i8"),  # 32: a single; -16: a signed number, little-endian
         ("torque_end", "<f8"),  # N m: largest value of the field; of a signed one, that of code -32768
         ("torque_limit", "<f8"),  # N m
@@ -343,16 +346,6 @@ def row_of(m: Any, leg: int) -> int:
 
 
 @helper
-def put_single(value: float, data: Bytes, at: int) -> None:
-    """Write a float32 into four bytes of data from index `at`, little-endian."""
-    word = np.empty(1, np.float32)
-    word[0] = value
-    raw = int(word.view(np.uint32)[0])
-    for k in range(4):
-        data[at + k] = raw >> 8 * k & 0xFF
-
-
-@helper
 def signed_code(torque: float, end: float) -> int:
     """Code of a torque (N m, field end `end`) in a signed 16-bit field: truncated to 0, saturated."""
     return int(min(max(torque / end * 32768.0, -32768.0), 32767.0))
@@ -370,6 +363,9 @@ def send(m: Any, row: int, leg: int, into: int) -> None:
     at, end = m.torque_at, m.torque_end
     if m.torque_bits == 32:
         put_single(m.torque[leg], frame.data, at)
+        return
+    if m.torque_bits == MAPPED:
+        put_real(rows_at(m.torque_at, 1)[0], 0, m.torque[leg], frame.data)
         return
     if m.torque_bits == SIGNED:
         number = signed_code(m.torque[leg], end)

@@ -277,6 +277,8 @@ class MotorProtocol(Family):
         _, bits, end = self.torque_field
         if bits == kernels.SIGNED:
             return np.array([kernels.signed_code(each, end) * end / 32768.0 for each in torque.tolist()])
+        if bits == kernels.MAPPED:
+            return np.trunc(torque / end + np.copysign(1e-3, torque)) * end if end else torque
         codes = [code(each, -end, end, bits) for each in torque.tolist()] if bits < 32 else ()
         return np.array([value(each, -end, end, bits) for each in codes]) if codes else torque
 

@@ -144,6 +144,8 @@ class Traits:
     """Values of `awaited` for all frames of the six feedbacks of a tick.
 
     The drain waits for these. They are identifiers, unless `shares_identifiers`."""
+    echoes: tuple[Frame, ...] = ()
+    """One example of every answer to a command; it only takes bus time."""
     shares_identifiers: bool = False
     """True if feedbacks share an identifier, or change it; then no interface can wait for them."""
     identity_requests: tuple[tuple[Frame, ...], ...] = ()

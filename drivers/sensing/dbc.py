@@ -1,17 +1,21 @@
 """Any sensor whose frames a DBC describes, by the names of its signals."""
 
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field as Key
 
+from drivers.config import DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.files import read_regular
 from drivers.protocol import BRS, EXTENDED, FD
 from drivers.sensing.family import CHANNELS, UNITS, Condition, Device, Field, Message, Timed, Wanted
 from drivers.sensing.layout import FLOAT, SIGNED, UNSIGNED
 
+DRIVES_DBC = "drives.dbc"
+"""Name of the drives' DBC in a log."""
 _MOST_BYTES = 4_000_000
 _g, _deg = 9.80665, 0.017453292519943295
 FACTORS: dict[str, dict[str, float]] = {
@@ -72,14 +76,14 @@ class DbcSensor(Timed):
         messages: dict[str, tuple[Any, list[Field], list[Condition]]] = {}
         for quantity, to in own.items():
             if quantity in self.signals:
-                message, signal = _found(database, self.signals[quantity], name)
+                message, signal = found_signal(database, self.signals[quantity], name)
                 _, fields, conditions = messages.setdefault(message.name, (message, [], []))
                 unit = UNITS[role][names.index(quantity)]
                 fields.append(self._field(to, quantity, signal, unit))
-                conditions += [each for each in _selection(message, signal) if each not in conditions]
+                conditions += [each for each in selection(message, signal) if each not in conditions]
         for signal_name, value in self.valid.items():
-            message, signal = _found(database, signal_name, name)
-            start, bits, _, big = _place(signal)
+            message, signal = found_signal(database, signal_name, name)
+            start, bits, _, big = placed(signal)
             mask = (1 << bits) - 1
             conditions = messages.setdefault(message.name, (message, [], []))[2]
             conditions.append(Condition(start, bits, value & mask, mask, big))
@@ -91,12 +95,8 @@ class DbcSensor(Timed):
 
     def _database(self, folder: Path) -> tuple[str, str, Any]:
         path = folder / self.file
-        data = read_regular(path, _MOST_BYTES)
-        try:
-            text = data.decode()
-        except UnicodeDecodeError:
-            text = data.decode("cp1252", errors="replace")
-        return path.name, text, _parsed(text, self.file)
+        text = dbc_text(read_regular(path, _MOST_BYTES))
+        return path.name, text, parsed_dbc(text, self.file)
 
     def _field(self, to: int, quantity: str, signal: Any, si: str) -> Field:
         unit = self.units.get(quantity, signal.unit or "")
@@ -108,7 +108,7 @@ class DbcSensor(Timed):
                 f"state it as units: {{{quantity}: ...}}"
             )
         factor *= -1.0 if quantity in self.negative else 1.0
-        start, bits, kind, big = _place(signal)
+        start, bits, kind, big = placed(signal)
         scale, shift = float(signal.scale) * factor, self.offsets.get(quantity, 0.0)
         low = high = None
         if signal.minimum is not None and signal.maximum is not None and signal.minimum < signal.maximum:
@@ -124,8 +124,38 @@ class DbcSensor(Timed):
         return Message(identifier, message.length, tuple(fields), flags, tuple(conditions))
 
 
+def dbc_text(data: bytes) -> str:
+    """Text of a DBC file in UTF-8, else in Windows-1252."""
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")
+
+
+def refers(drives: DriveSettings) -> bool:
+    """True if option `dbc` of the drives is the path of a DBC; several lines are its text."""
+    given = drives.options.get("dbc")
+    return isinstance(given, str) and "\n" not in given
+
+
+def with_dbc(drives: DriveSettings, folder: Path | None, files: Mapping[str, bytes]) -> DriveSettings:
+    """Drives with the text of the DBC that their option refers to.
+
+    It comes from `folder`, without one from the files of a log; unchanged if there is none.
+    """
+    if not refers(drives):
+        return drives
+    try:
+        path = str(drives.options["dbc"])
+        data = files[DRIVES_DBC] if folder is None else read_regular(folder / path, _MOST_BYTES)
+    except (KeyError, OSError, ValueError):
+        return drives
+    return drives.model_copy(update={"options": drives.options | {"dbc": dbc_text(data)}})
+
+
 @cache
-def _parsed(text: str, file: str) -> Any:
+def parsed_dbc(text: str, file: str) -> Any:
+    """Database of a DBC text. Raises ConfigurationError that names `file`."""
     import cantools  # noqa: PLC0415 - takes a third of a second
 
     try:
@@ -134,7 +164,7 @@ def _parsed(text: str, file: str) -> Any:
         raise ConfigurationError(f"file: {file} is not a DBC: {error}") from error
 
 
-def _found(database: Any, wanted: str, file: str) -> tuple[Any, Any]:
+def found_signal(database: Any, wanted: str, file: str) -> tuple[Any, Any]:
     """Message and signal of a name."""
     message, _, signal = wanted.rpartition(".")
     found = [
@@ -150,7 +180,7 @@ def _found(database: Any, wanted: str, file: str) -> tuple[Any, Any]:
     return found[0]
 
 
-def _place(signal: Any) -> tuple[int, int, int, bool]:
+def placed(signal: Any) -> tuple[int, int, int, bool]:
     """First bit, bits, kind and byte order of a signal."""
     start, bits, big = int(signal.start), int(signal.length), signal.byte_order == "big_endian"
     skipped = 7 - start % 8 if big else start % 8
@@ -162,12 +192,12 @@ def _place(signal: Any) -> tuple[int, int, int, bool]:
     return start, bits, FLOAT if signal.is_float else SIGNED if signal.is_signed else UNSIGNED, big
 
 
-def _selection(message: Any, signal: Any) -> list[Condition]:
+def selection(message: Any, signal: Any) -> list[Condition]:
     """Value of the multiplexer with which a frame has the signal."""
     if not signal.multiplexer_ids:
         return []
     selector = message.get_signal_by_name(signal.multiplexer_signal)
     if len(signal.multiplexer_ids) > 1 or selector.multiplexer_ids:
         raise ConfigurationError(f"signals: {signal.name} is multiplexed twice, allowed: by one value")
-    start, bits, _, big = _place(selector)
+    start, bits, _, big = placed(selector)
     return [Condition(start, bits, signal.multiplexer_ids[0], -1, big, selects=True)]

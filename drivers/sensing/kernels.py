@@ -135,7 +135,7 @@ def _keep(s: Any, of: Any, slot: int, tick: int, offset_s: float, values: Array)
 
 
 @helper
-def _selected(row: Any, data: Any) -> tuple[bool, bool]:
+def selected(row: Any, data: Any) -> tuple[bool, bool]:
     """Two flags: the frame is this message; its conditions of validity hold."""
     valid = True
     for k in range(row.conditions):
@@ -151,8 +151,8 @@ def _selected(row: Any, data: Any) -> tuple[bool, bool]:
 def _take(s: Any, row: Any, frame: Any, tick: int, began_ns: int, latched_ns: int) -> bool:
     """Take a sample, or a part of one, from an intact frame; True if it is plausible."""
     of, data, slot = slots_at(s.slots, SLOTS)[row.slot], frame.data, row.slot
-    selected, valid = _selected(row, data)
-    if not selected:
+    is_message, valid = selected(row, data)
+    if not is_message:
         return True
     v, word = np.zeros(FIELDS), np.zeros(1, np.int64)
     counts = 0
@@ -319,3 +319,27 @@ def put_sample(row: Any, v: Array, cycle: int, offset_s: float, counter: int, fr
 def encode(rows: Any, v: Array, cycle: int, offset_s: float, counter: int, frame: Any) -> int:
     """`put_sample` for the first of some messages."""
     return put_sample(rows[0], v, cycle, offset_s, counter, frame)
+
+
+@helper
+def put_single(value: float, data: Bytes, at: int) -> None:
+    """Write a float32 into four bytes of data from index `at`, little-endian."""
+    word = np.empty(1, np.float32)
+    word[0] = value
+    raw = int(word.view(np.uint32)[0])
+    for k in range(4):
+        data[at + k] = raw >> 8 * k & 0xFF
+
+
+@helper
+def put_real(row: Any, k: int, x: float, data: Bytes) -> None:
+    """Write a value into a field of a row, truncated to its steps and saturated."""
+    bits, raw = row.bits[k], (x - row.offset[k]) / row.scale[k]
+    if row.kind[k] == FLOAT:
+        put_single(raw, data, row.start[k] >> 3)
+        return
+    raw += 1e-3 if raw > 0.0 else -1e-3  # a value on a step keeps its code, even if rounded to a single
+    signed = row.kind[k] == 1
+    top = 2.0 ** (bits - signed) - 1.0
+    low = -top - 1.0 if signed else 0.0
+    put_field(int(min(max(raw, low), top)), data, row.start[k], bits, row.big[k])

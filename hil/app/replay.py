@@ -38,7 +38,7 @@ def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
     """
     log, run = _open(path)
     refuse_unread(log)
-    return log, run, loads(log.configuration, f"{path}:config.yaml")
+    return log, run, loads(log.configuration, f"{path}:config.yaml", files=log.attachments)
 
 
 def refuse_unread(log: Log) -> None:
@@ -100,7 +100,7 @@ def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[
     difference = other_columns(log.columns)
     if difference:
         raise _other_version(log, f"its columns differ ({difference})", "replay")
-    configuration = loads(log.configuration, f"{path}:config.yaml")
+    configuration = loads(log.configuration, f"{path}:config.yaml", files=log.attachments)
     with attached(configuration, log.attachments) as own:
         ours = databases(own)
     changed = [(name, text) for name, text in ours if log.attachments.get(name) != text]

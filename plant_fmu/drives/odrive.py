@@ -10,6 +10,7 @@ from drivers.compiled.compiler import helper
 from drivers.compiled.pointed import FAILED
 from drivers.frame_pointers import begin_sent, frame_at, whole
 from drivers.protocol import REMOTE, Frame
+from drivers.sensing.kernels import put_single
 from drivers.signals import DriveFault, DriveState
 from plant_fmu.drives import motors as drives
 from plant_fmu.drives.codec import STOP
@@ -75,8 +76,8 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 def encode(d: Any, said: Any, frame: Any) -> int:
     """Fill in a frame of encoder estimates, turns and turns/s; NaN for a lost encoder."""
     begin_sent(frame, d.nodes[said.leg] << 5 | o.ESTIMATES, 8, 0, d.bus_of[said.leg])
-    motors.put_single(np.nan if said.lost else said.turns, frame.data, 0)
-    motors.put_single(np.nan if said.lost else said.speed, frame.data, 4)
+    put_single(np.nan if said.lost else said.turns, frame.data, 0)
+    put_single(np.nan if said.lost else said.speed, frame.data, 4)
     return 0
 
 

@@ -8,22 +8,22 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
-    "drivers": (10_590, 77_900),
-    "plant_fmu": (9_740, 70_600),
+    "drivers": (10_900, 81_425),
+    "plant_fmu": (9_795, 71_295),
     "hil/loop hil/operate": (6_770, 52_250),
     "hil/safety hil/estimation": (3_420, 28_750),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
     "hil/record": (4_730, 37_300),
-    "hil/config hil/app/configuration": (3_930, 25_700),
+    "hil/config hil/app/configuration": (3_940, 25_770),
     "hil/design hil/proof": (6_150, 56_700),
     "hil/lab": (8_010, 67_800),
-    "hil/study": (8_060, 65_300),
+    "hil/study": (8_060, 65_310),
     "hil/app": (11_220, 82_750),
     "hil/cli": (2_370, 12_200),
     "hil/contracts": (1_720, 14_900),
     "tools": (2_706, 21_550),
     "configs": (210, 1_900),
-    "tests": (74_555, 664_700),
+    "tests": (74_775, 666_225),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

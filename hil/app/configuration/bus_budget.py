@@ -124,7 +124,7 @@ def bus_budgets(
     if bus.layout == "ideal":
         return ()
     frames = protocol.traits.cyclic_frames + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)
-    frames += timed_feedbacks(protocol, rate_Hz)
+    frames += timed_feedbacks(protocol, rate_Hz) + protocol.traits.echoes
     found = []
     for index, each in enumerate(bus.buses):
         own, seen = ([frame for frame in some if frame.bus == index] for some in (frames, measured))

@@ -5,6 +5,7 @@ All problems of a file are reported at once, each as `file:line:column: path: wh
 
 import json
 import re
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,6 +15,7 @@ from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, create
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.section import Section
+from drivers.sensing.dbc import with_dbc
 from drivers.sensing.settings import SensorSettings
 from hil.app.configuration.bounds import fitted
 from hil.app.configuration.compare import CompareSettings
@@ -77,6 +79,7 @@ class Configuration(Section):
     _text: str = PrivateAttr("")
     _source: str = PrivateAttr("")
     _folder: Path = PrivateAttr(Path())
+    _files: Mapping[str, bytes] = PrivateAttr({})
     _law_file: LawFile | None = PrivateAttr(None)
 
     @field_validator("*")
@@ -101,6 +104,11 @@ class Configuration(Section):
     def folder(self) -> Path:
         """Folder to which relative paths in the configuration refer."""
         return self._folder
+
+    @property
+    def files(self) -> Mapping[str, bytes]:
+        """Files of the log that contains the configuration, by name; else empty."""
+        return self._files
 
     @property
     def law_file(self) -> LawFile | None:
@@ -177,11 +185,13 @@ def load(path: str | Path) -> Configuration:
     return loads(text, str(file), file.parent)
 
 
-def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Configuration:
+def loads(
+    text: str, name: str = "<text>", folder: Path | None = None, files: Mapping[str, bytes] | None = None
+) -> Configuration:
     """Read a configuration from text; `name` stands for the file in messages.
 
-    Without `folder`, files of the configuration (CSV, FMU, law) are not read. Raises ConfigurationError with
-    all problems found.
+    Without `folder`, files of the configuration (CSV, FMU, law) are not read; the DBC of the drives comes
+    from `files`, the attachments of a log. Raises ConfigurationError with all problems found.
     """
     document = parse(text)
     found = list(document.problems)
@@ -200,13 +210,15 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
                 sections[field] = info.get_default() if field != "name" else short_name(name)
         reported = {problem.path for problem in found}
         out_of_range = [problem for problem in _out_of_range(document) if problem.path not in reported]
+        if "drives" in sections:
+            sections["drives"] = with_dbc(sections["drives"], folder, files or {})
         found += out_of_range or _between_sections(sections, document, folder)
     if found:
         raise ConfigurationError(*lines(found, name))
     # All sections are valid already, and the union of `controller` does not include a law in a file.
     configuration = Configuration.model_construct(**sections)
     configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
-    configuration._law_file = file  # noqa: SLF001
+    configuration._law_file, configuration._files = file, files or {}  # noqa: SLF001
     return configuration
 
 

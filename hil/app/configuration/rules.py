@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers import build_protocol
 from drivers.errors import ConfigurationError, HilError
+from drivers.sensing.dbc import refers
 from drivers.sensors import KINDS
 from drivers.signals import Reaction
 from hil.app.configuration.bounds import (
@@ -74,7 +75,7 @@ def _keyed(error: HilError, sections: str, key: Path) -> Finding:
 def bus_load(c: Sections, folder: Folder) -> Iterator[Finding]:
     """Check that protocol and sensors support the settings, and that the frames fit into the period."""
     roles = [settings.device for _, settings in c.sensors if settings is not None]
-    if folder is None and any(hasattr(device, "file") for device in roles):
+    if folder is None and (refers(c.drives) or any(hasattr(device, "file") for device in roles)):
         return
     try:
         bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz, folder)

@@ -18,8 +18,9 @@ from hil.study.campaign.keys import at, path
 from hil.study.campaign.settings import ListedAxis
 
 _CONTROLLER = ("controller", "controller_file")
-_SHEET = ("drives", "options", "eds")
-PLACES = (("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"), _SHEET)
+_SHEET, _DBC = ("drives", "options", "eds"), ("drives", "options", "dbc")
+_FILES = (("reference", "path"), ("feedforward", "file"), ("plant", "model", "path"))
+PLACES = (_CONTROLLER, *_FILES, _SHEET, _DBC)
 """Configuration keys that name a file which a row reads."""
 Folders = tuple[Path, Path, Path]
 """Absolute folders to search: of the configuration, of the campaign, and where the campaign was read."""

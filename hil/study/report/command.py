@@ -65,7 +65,7 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
 def _configuration(log: Log) -> tuple[Configuration | None, str]:
     """(configuration of the run, ""), or (None, reason) if the log's configuration cannot be read."""
     try:
-        return loads(log.configuration, f"{log.path}:config.yaml"), ""
+        return loads(log.configuration, f"{log.path}:config.yaml", files=log.attachments), ""
     except (LogError, ConfigurationError) as error:
         first = str(error).partition("\n")[0]
         return None, f"no limits, bus load and 3D view, because the configuration cannot be read: {first}"

@@ -57,7 +57,7 @@ def changed(c: Configuration, words: Sequence[str], *, own: bool) -> Configurati
     name = f"{c.source} with --set"
     text = with_changes(c.text, {"name": c.name} | read_changes(words))
     try:
-        return loads(text, name, None if own else c.folder)
+        return loads(text, name, None if own else c.folder, c.files)
     except ConfigurationError as error:  # positions in a text that no user has seen
         problems = (re.sub(r"^.*?:\d+:\d+: ", f"{name}: ", problem) for problem in error.problems)
         raise ConfigurationError(*problems) from None

@@ -74,6 +74,19 @@ def test_sensor_dbc_is_stored_in_the_log_and_replay_reads_only_that_copy(tmp_pat
         with_attachments(gone, {}, tmp_path)
 
 
+def test_dbc_of_the_drives_goes_into_the_log_and_replay_reads_only_that(monkeypatch):
+    example = Path(__file__).parents[3] / "docs/examples/drives/rmd.yaml"
+    monkeypatch.chdir(example.parent)  # a copy in the working directory is not read either
+    c = load(example)
+    files = dict(databases(c))
+    assert files["drives.dbc"] == example.with_name("rmd.dbc").read_bytes()
+    other = {"drives.dbc": files["drives.dbc"].replace(b"Request: 8", b"Inquiry: 8")}
+    assert loads(c.text, "log", files=files).drives == c.drives
+    assert "Inquiry" in str(loads(c.text, "log", files=other).drives.options["dbc"])
+    with pytest.raises(ConfigurationError, match=r"drives\.options\.dbc: no such file: rmd\.dbc"):
+        databases(loads(c.text, "log"))
+
+
 def text(name: str) -> str:
     return with_changes(load("virtual-cia402").text, {"drives": {"options": {"eds": name}}})
 

@@ -16,7 +16,7 @@ PAGE = (ROOT / "docs/guides/analysis.md").read_text()
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
-def test_every_example_of_the_guide_runs(tmp_path, monkeypatch, capsys):
+def test_every_example_of_the_guide_on_log_analysis_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     ran = {"python": 0, "sh": 0}
@@ -39,7 +39,7 @@ def test_every_example_of_the_guide_runs(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.long
-def test_cells_of_the_notebook_run_in_their_order(tmp_path, monkeypatch):
+def test_cells_of_the_tracking_notebook_run_in_their_order(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
     cells = json.loads((ROOT / "docs/examples/tracking.ipynb").read_text())["cells"]
@@ -53,6 +53,6 @@ def test_cells_of_the_notebook_run_in_their_order(tmp_path, monkeypatch):
     assert peaks[25] < peaks[15], "the stiffer law follows more closely"
 
 
-def test_api_page_lists_exactly_the_public_names():
+def test_api_page_lists_exactly_the_public_names_of_the_log_api():
     text = (ROOT / "docs/api/index.md").read_text()
     assert sorted(re.findall(r"^\.\. auto\w+:: hil\.(\w+)", text, re.MULTILINE)) == sorted(hil.__all__)

@@ -11,7 +11,7 @@ from hil.cli import main
 PAGE = (Path(__file__).parents[2] / "docs/guides/bringup.md").read_text()
 
 
-def test_quoted_finding_is_that_of_the_rehearsal(tmp_path, monkeypatch):
+def test_finding_quoted_in_the_bringup_guide_is_printed_by_the_rehearsal_command(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     command, *_ = re.findall(r"^hil (bringup virtual --rehearse --yes --mistake .*)$", PAGE, re.MULTILINE)
     (quoted,) = re.findall(r"```text\n(.*?)\n```", PAGE, re.DOTALL)

@@ -12,7 +12,7 @@ from hil.study.campaign.figures import METRICS
 PAGE = (Path(__file__).parents[2] / "docs/guides/campaigns.md").read_text()
 
 
-def test_first_campaign_of_the_guide_runs(tmp_path, monkeypatch):
+def test_first_example_of_the_guide_on_campaigns_runs(tmp_path, monkeypatch):
     example = re.search(r"Write `first.yaml`:\n\n```yaml\n(.*?)```", PAGE, re.DOTALL)
     assert example is not None
     monkeypatch.chdir(tmp_path)
@@ -26,6 +26,6 @@ def test_first_campaign_of_the_guide_runs(tmp_path, monkeypatch):
     assert Path("first/report.html").is_file()
 
 
-def test_guide_lists_every_metric():
+def test_guide_on_campaigns_lists_every_metric():
     section = PAGE.partition("## What is measured")[2].partition("\n## ")[0]
     assert set(re.findall(r"`([a-zA-Z_]+)`", section)) >= set(METRICS)

@@ -10,11 +10,11 @@ RUNS, CLAIMS = table()
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: f"{claim.page}: {claim.quote}")
-def test_quoted_text_stands_on_its_page(claim):
+def test_every_figure_listed_in_claims_yaml_is_quoted_on_its_page(claim):
     assert claim.stands()
 
 
-def test_every_run_measures_a_figure():
+def test_every_run_in_claims_yaml_measures_at_least_one_quoted_figure():
     assert {claim.run for claim in CLAIMS} == set(RUNS)
 
 
@@ -29,12 +29,12 @@ def test_every_run_measures_a_figure():
         ("40900", 40887.7, 0.01, True),
     ],
 )
-def test_a_quoted_figure_holds_if_the_measured_one_rounds_to_it(quoted, measured, within, verdict):
+def test_quoted_figure_is_the_rounded_measured_one_or_within_tolerance(quoted, measured, within, verdict):
     assert holds(quoted, measured, within) is verdict
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("run", [run for run in RUNS if run != BENCH])
-def test_measured_figures_are_those_quoted(run):
+def test_figures_quoted_in_the_documentation_equal_the_measured_ones(run):
     found = list(judged([claim for claim in CLAIMS if claim.run == run], RUNS[run].result()))
     assert not [(claim.page, claim.quote, measured) for claim, _, measured, fine in found if not fine]

@@ -22,7 +22,7 @@ FILE = re.compile(
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_every_module_and_file_named_in_a_page_exists(page):
+def test_every_module_and_file_mentioned_in_the_documentation_exists(page):
     text = page.read_text()
     wrong = {}
     for name in NAME.findall(text):
@@ -36,7 +36,7 @@ def test_every_module_and_file_named_in_a_page_exists(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_every_test_named_in_a_page_exists(page):
+def test_every_test_mentioned_in_the_documentation_exists(page):
     named = TEST.findall(page.read_text())
     missing = [(file, name) for file, name in named if name not in functions(ROOT / file)]
     assert not missing
@@ -53,7 +53,7 @@ def functions(file):
     [page for page in PAGES if EXAMPLE.search(page.read_text())],
     ids=lambda page: page.relative_to(ROOT).as_posix(),
 )
-def test_examples_of_a_page_give_the_shown_output(page):
+def test_python_examples_of_the_documentation_give_the_shown_output(page):
     """All examples of one page in order, in one namespace."""
     text = "\n".join(EXAMPLE.findall(page.read_text()))
     examples = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
@@ -64,7 +64,7 @@ def test_examples_of_a_page_give_the_shown_output(page):
     assert not heard, "".join(heard)
 
 
-def test_architecture_page_lists_every_package():
+def test_architecture_page_lists_every_package_of_the_source_tree():
     tree = (ROOT / "docs/guides/architecture.md").read_text().split("```")[1]
     rooms = {line.split()[0] for line in tree.splitlines() if line.strip()}
     there = {

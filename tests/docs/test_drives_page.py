@@ -56,12 +56,12 @@ def pasted(text: str, block: str) -> str:
     return text
 
 
-def test_every_family_has_a_block():
+def test_guide_on_drives_has_a_yaml_block_for_every_drive_family():
     assert set(BLOCKS) == set(registered("hil.protocols")) - {"legs", "mit", "dbc"} | set(VARIANTS)
 
 
 @pytest.mark.parametrize("name", broad(BLOCKS, quick=2))
-def test_block_pasted_into_a_new_configuration_passes_check(name, new):
+def test_yaml_block_of_the_guide_on_drives_pasted_into_a_new_configuration_passes_check(name, new):
     c = loads(pasted(new, BLOCKS[name]), f"{name}.yaml")
     assert c.drives.protocol == yaml.safe_load(BLOCKS[name])["drives"]["protocol"]
     told = inspect(c).warnings
@@ -69,7 +69,7 @@ def test_block_pasted_into_a_new_configuration_passes_check(name, new):
 
 
 @pytest.mark.parametrize("name", broad(BLOCKS, quick=1))
-def test_new_robot_with_a_block_follows_its_path_parks_and_replays(name, new, tmp_path):
+def test_new_robot_with_a_yaml_block_of_the_guide_on_drives_tracks_parks_and_replays(name, new, tmp_path):
     c = loads(pasted(new, BLOCKS[name]), f"{name}.yaml")
     summary = simulate(c, log=tmp_path / "run.mcap", duration_s=3.0)
     assert summary["success"], summary

@@ -118,7 +118,7 @@ CASES = [
 
 @pytest.mark.realtime(patient=True)
 @pytest.mark.parametrize(("family", "plant"), CASES)
-def test_foreign_master_moves_its_legs_and_reads_their_lengths(
+def test_example_master_of_the_guide_on_foreign_controllers_moves_legs_and_reads_lengths(
     tmp_path, monkeypatch, capsys, request, family, plant
 ):
     program, legs, read, resolution_m = MASTERS[family]

@@ -44,7 +44,7 @@ def shape(element):
         (r"x_i^2", ("msubsup", "x", "i", "2")),
     ],
 )
-def test_accents_are_on_top_and_indices_at_the_side(equation, expected):
+def test_rendered_formula_has_accents_on_top_and_indices_at_the_side(equation, expected):
     assert shape(tree(equation)) == ("math", expected)
 
 
@@ -58,12 +58,12 @@ def test_accents_are_on_top_and_indices_at_the_side(equation, expected):
         (r"\left(\frac{a}{b}\right)", {"(": "true", ")": "true"}),
     ],
 )
-def test_brackets_grow_around_tall_content(equation, grows):
+def test_rendered_formula_has_brackets_that_grow_around_tall_content(equation, grows):
     found = {e.text: e.get("stretchy") for e in tree(equation).iter(NAMESPACE + "mo") if e.text in "()[]|"}
     assert found == grows
 
 
-def test_fractions_without_braces_begin_with_a_digit():
+def test_fractions_without_braces_in_formulas_begin_with_a_digit():
     """A fraction without braces must begin with a digit.
 
     The translator then reads both arguments correctly.

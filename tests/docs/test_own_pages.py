@@ -62,9 +62,9 @@ def package(request, tmp_path_factory):
     return Package(request.param, *PAGES[request.param], tmp_path_factory.mktemp("page"))
 
 
-def test_package_of_the_guide_runs_and_replays(package):
+def test_example_package_of_the_guide_on_own_laws_or_drives_runs_and_replays(package):
     package.run(package.blocks["simulation"] + SUCCESS)
 
 
-def test_package_of_the_guide_passes_the_contract_suite(package):
+def test_example_package_of_the_guide_on_own_laws_or_drives_passes_the_contract_suite(package):
     assert re.search(r"^\d+ passed", package.run(CONTRACT), re.MULTILINE)

@@ -23,14 +23,14 @@ KNOWN: Any = BUILDERS
 KINDS = [match[1] for match in (re.search(r"  type: (\w+)", example) for example in EXAMPLES) if match]
 
 
-def test_every_kind_has_one_example_and_a_line_in_the_table():
+def test_every_kind_of_reference_has_one_example_and_a_table_row_in_the_guide():
     types: set[str] = {kind.model_fields["type"].annotation.__args__[0] for kind in KNOWN}
     assert sorted(KINDS) == sorted(types)
     assert set(re.findall(r"^\| `(\w+)` \| [a-z]", PAGE.partition("## Hold")[0], re.MULTILINE)) == types
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=KINDS)
-def test_example_loads_and_passes_the_checks(example, tmp_path):
+def test_every_example_of_the_guide_on_references_loads_and_passes_hil_check(example, tmp_path):
     (tmp_path / "path.csv").write_text(PATH)
     virtual = load("virtual").text
     first, last = virtual.index("\nreference:") + 1, virtual.index("\nlimits:") + 1

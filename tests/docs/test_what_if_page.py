@@ -13,7 +13,7 @@ PAGE = (Path(__file__).parents[2] / "docs/guides/what-if.md").read_text()
 
 
 @pytest.mark.long
-def test_commands_of_the_guide_run_in_their_order(tmp_path, monkeypatch):
+def test_commands_of_the_what_if_guide_run_in_their_order(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (block,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
     lines = block.splitlines()

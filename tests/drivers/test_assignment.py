@@ -61,7 +61,7 @@ def arrays():
     return np.zeros(6), np.arange(6.0) + 1.0, np.zeros((6, 6)), k, n
 
 
-def test_every_index_and_value_gives_the_result_of_numpy():
+def test_compiled_array_assignment_equals_numpy_for_every_index_and_value():
     compiled, plain = arrays(), arrays()
     assigned(*compiled)
     assign(*plain)
@@ -69,7 +69,7 @@ def test_every_index_and_value_gives_the_result_of_numpy():
         np.testing.assert_array_equal(found, expected)
 
 
-def test_source_and_target_may_overlap():
+def test_compiled_array_assignment_is_right_if_source_and_target_overlap():
     (_, a, _, m, _), (_, b, _, k, _) = arrays(), arrays()
     shifted(a, m)
     shift(b, k)
@@ -77,7 +77,7 @@ def test_source_and_target_may_overlap():
     np.testing.assert_array_equal(m, k)
 
 
-def test_columns_of_records_are_assigned_in_place():
+def test_compiled_assignment_writes_columns_of_records_in_place():
     state, values = np.zeros((), STATE), np.arange(5.0) + 1.0
     with pytest.raises(ValueError, match="shape"):
         columns(state, values, 4)

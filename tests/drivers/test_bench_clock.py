@@ -27,7 +27,7 @@ def held(join):
     return node.clock
 
 
-def test_time_stands_still_for_a_late_participant_and_then_resumes(held, join):
+def test_simulated_time_pauses_for_a_late_participant_and_then_resumes(held, join):
     viewer = join().clock
     held.working()
     due = held.now() + WORK_NS
@@ -43,7 +43,7 @@ def test_time_stands_still_for_a_late_participant_and_then_resumes(held, join):
     assert 0.025e9 < held.stretched() < 1e9
 
 
-def test_time_stands_still_at_the_earliest_due_of_several(held, join):
+def test_simulated_time_pauses_at_the_earliest_deadline_of_several_participants(held, join):
     second = join().clock
     second.holds = True
     second.waiting(held.now() + 10_000_000)
@@ -59,7 +59,7 @@ def test_time_stands_still_at_the_earliest_due_of_several(held, join):
     assert held.stretched() > 0.02e9
 
 
-def test_sleep_does_not_end_before_its_bench_time(held, child, join):
+def test_sleep_until_a_simulated_time_does_not_end_before_that_time(held, child, join):
     child(HOLDS + f"clock.working(); time.sleep(0.05); clock.waiting(clock.now() + {10**9}); time.sleep(5)")
     time.sleep(0.02)
     assert held.now() == held.now()
@@ -69,7 +69,7 @@ def test_sleep_does_not_end_before_its_bench_time(held, child, join):
     assert time.monotonic() - begun > 0.02, "time stood still for the other one"
 
 
-def test_time_resumes_at_once_after_a_holder_is_killed(held, child):
+def test_simulated_time_resumes_at_once_after_the_process_it_pauses_for_is_killed(held, child):
     other = child(HOLDS + "clock.working(); print('on', flush=True); time.sleep(30)")
     assert other.stdout.readline() == "on\n"
     os.kill(other.pid, signal.SIGKILL)
@@ -78,7 +78,7 @@ def test_time_resumes_at_once_after_a_holder_is_killed(held, child):
     assert time.monotonic() - begun < 0.2
 
 
-def test_stopped_process_is_dismissed_and_may_hold_time_again(held, child):
+def test_simulated_time_stops_waiting_for_a_stopped_process_until_that_process_continues(held, child):
     other = child(
         HOLDS
         + "clock.working(); os.kill(os.getpid(), signal.SIGSTOP); clock.working(); print('on', flush=True);"
@@ -95,10 +95,10 @@ def test_stopped_process_is_dismissed_and_may_hold_time_again(held, child):
     time.sleep(0.02)
     stood = held.now()
     time.sleep(0.02)
-    assert held.now() == stood, "it holds time again"
+    assert held.now() == stood, "time pauses again for the continued process"
 
 
-def test_sender_that_does_not_hold_time_ends_all_standstills(held, join):
+def test_frame_of_a_sender_without_simulated_time_ends_all_pauses_of_that_time(held, join):
     stranger = join()
     got(stranger.receive())
     assert not held.interrupted
@@ -114,7 +114,7 @@ def test_sender_that_does_not_hold_time_ends_all_standstills(held, join):
 
 
 @pytest.mark.long
-def test_time_never_runs_backwards_for_any_participant(held, child):
+def test_simulated_time_never_runs_backwards_for_any_participant(held, child):
     """Two processes that hold time raise, lower and break their promises; a third one reads the clock."""
     code = """
 import random
@@ -138,7 +138,7 @@ while True:
     assert all(other.poll() is None for other in others)
 
 
-def test_sleep_until_a_bench_time_does_not_spin(join):
+def test_sleep_until_a_simulated_time_does_not_busy_wait(join):
     clock = join().clock
     begun, worked = time.monotonic_ns(), time.process_time()
     clock.sleep_until(clock.now() + 60_000_000)

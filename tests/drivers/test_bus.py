@@ -43,7 +43,7 @@ def three(**options: dict[str, Any]) -> BusSettings:
 # frames
 
 
-def test_frames_and_error_frames_are_distinguished():
+def test_error_frame_is_not_taken_for_a_data_frame_of_equal_identifier():
     """The class of an error can equal an identifier: 0x80 is a bus error, and SYNC."""
     with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
         a.send(sent_array([Frame(0x80, b"", ERROR)]))
@@ -93,7 +93,7 @@ def test_udp_multicast_carries_frames_and_stays_on_this_machine():
         ({"channel": "t", "options": {"colour": 1}}, ["colour", "spin_us, tx_limit"]),
     ],
 )
-def test_bus_that_cannot_open_is_refused_and_leaves_its_role_free(settings, words):
+def test_bus_that_cannot_open_is_refused_and_does_not_keep_the_role_of_controller(settings, words):
     for _ in range(2):
         with pytest.raises(BusError) as caught:
             Bus.open(BusSettings.model_validate(settings), "controller")
@@ -104,7 +104,7 @@ def test_bus_that_cannot_open_is_refused_and_leaves_its_role_free(settings, word
 
 
 @pytest.mark.parametrize("interface", ["localcan", "kvaser"])
-def test_a_second_controller_is_refused_until_the_first_is_killed(interface):
+def test_second_controller_on_a_bus_is_refused_until_the_first_one_is_killed(interface):
     code = (
         f"from drivers.can.runtime_folder import RoleLock; held = RoleLock({interface!r}, {CHANNEL!r}, "
         "'controller'); print('held', flush=True); input()"
@@ -123,7 +123,9 @@ def test_a_second_controller_is_refused_until_the_first_is_killed(interface):
 
 
 @pytest.mark.parametrize("interface", ["socketcan", "kvaser", "udp_multicast"])
-def test_role_on_hardware_holds_for_the_whole_machine(monkeypatch, tmp_path, interface):
+def test_plant_role_on_a_hardware_bus_is_exclusive_for_all_users_of_a_machine(
+    monkeypatch, tmp_path, interface
+):
     held = RoleLock(interface, CHANNEL, "plant")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as another user or a service has it
     try:
@@ -145,7 +147,7 @@ def test_role_on_hardware_holds_for_the_whole_machine(monkeypatch, tmp_path, int
 
 
 @pytest.mark.parametrize("role", ["controller", "plant"])
-def test_role_is_taken_and_released_on_every_bus(role):
+def test_role_of_controller_or_plant_is_taken_and_released_on_each_of_several_buses(role):
     with Bus.open(three(), role):
         for channel in CHANNELS:
             with pytest.raises(RunError, match=f"localcan:{channel} .*{role}.*{os.getpid()}"):
@@ -156,7 +158,7 @@ def test_role_is_taken_and_released_on_every_bus(role):
 
 
 @pytest.mark.parametrize("bad", CHANNELS)
-def test_if_one_bus_does_not_open_the_others_are_closed(bad):
+def test_all_buses_are_closed_if_one_of_several_does_not_open(bad):
     with Bus.open(local(bad), "plant"), pytest.raises(RunError, match=f"localcan:{bad} .*plant"):
         Bus.open(three(), "plant").close()
     with pytest.raises(BusError, match="colour"):

@@ -36,7 +36,7 @@ def sends(bus: Bus, *frames: Frame) -> int:
     return bus.send(sent_array(frames))
 
 
-def test_bus_that_refuses_for_50_ms_is_off_until_it_accepts_a_frame():
+def test_bus_that_refuses_frames_for_50_ms_counts_as_off_until_it_accepts_a_frame():
     bus, link, clock = one()
     link.takes = 0
     sends(bus, *PAIR)
@@ -53,7 +53,7 @@ def test_bus_that_refuses_for_50_ms_is_off_until_it_accepts_a_frame():
     assert bus.events().off == 0, "the refusal has just begun"
 
 
-def test_error_frames_and_losses_are_counted_and_not_returned():
+def test_error_frames_and_losses_are_counted_and_not_returned_as_received_frames():
     bus, link, _ = one([WRONG, GOOD, WRONG], [WRONG], [])
     link.overflow = 4
     assert got(bus.drain_now()) == [GOOD]
@@ -64,7 +64,7 @@ def test_error_frames_and_losses_are_counted_and_not_returned():
     assert bus.events() == (0, 0, 0, BusState.UNKNOWN)
 
 
-def test_wait_ends_with_the_awaited_frames_or_at_the_deadline():
+def test_wait_for_given_identifiers_ends_when_all_have_arrived_or_at_the_deadline():
     bus, link, clock = one([], [WRONG], [GOOD], [Received(9, Frame(0x81, b""))])
     deadline = clock.t_ns + 10_000_000
     assert got(bus.drain(deadline, {0x80, 0x81})) == [GOOD, Received(9, Frame(0x81, b""))]
@@ -76,7 +76,7 @@ def test_wait_ends_with_the_awaited_frames_or_at_the_deadline():
     assert got(bus.drain(clock.t_ns, {0x99})) == [GOOD], "frames received by the deadline"
 
 
-def test_any_frame_except_an_error_frame_ends_a_wait():
+def test_wait_for_any_frame_is_ended_by_every_frame_except_an_error_frame():
     bus, link, clock = one([], [WRONG], [], [GOOD], [GOOD])
     deadline = clock.t_ns + 10_000_000
     assert got(bus.wait(deadline)) == [GOOD]
@@ -88,7 +88,7 @@ def test_any_frame_except_an_error_frame_ends_a_wait():
 
 
 @pytest.mark.parametrize("bad", [None, 0, 1, 2])
-def test_all_links_close_and_the_role_is_free_although_one_link_fails(bad):
+def test_closing_several_buses_closes_all_and_releases_the_role_although_one_close_fails(bad):
     made, closed = links(3), list[str]()
     role: Any = SimpleNamespace(close=lambda: closed.append("role"))
     if bad is None:
@@ -103,7 +103,7 @@ def test_all_links_close_and_the_role_is_free_although_one_link_fails(bad):
 # several
 
 
-def test_each_bus_goes_off_only_by_its_own_refusals():
+def test_each_of_several_buses_counts_as_off_only_after_it_refused_frames_itself():
     bus, made, clock = several(3)
     made[1].takes = 0
     frames = [Frame(1, b"", BUS * k) for k in range(3)]
@@ -122,7 +122,7 @@ def test_each_bus_goes_off_only_by_its_own_refusals():
     assert bus.events().off == 0b100, "a bus without frames keeps its state"
 
 
-def test_bus_that_accepts_some_of_its_frames_is_busy_and_not_off():
+def test_bus_that_accepts_some_of_its_frames_does_not_count_as_off():
     bus, made, clock = several(2)
     made[0].takes = 1
     for _ in range(3):
@@ -131,7 +131,7 @@ def test_bus_that_accepts_some_of_its_frames_is_busy_and_not_off():
         clock.t_ns += DEAD_AFTER_NS
 
 
-def test_waiting_frames_are_dropped_on_each_bus_that_goes_off():
+def test_frames_queued_for_sending_are_dropped_once_on_each_bus_that_goes_off():
     bus, made, _ = several(3)
     for k, dropped in ((0, (1, 0, 0)), (2, (1, 0, 1)), (1, (1, 1, 1))):
         made[k].off = True
@@ -144,7 +144,7 @@ def test_waiting_frames_are_dropped_on_each_bus_that_goes_off():
     assert [link.calls.count("died") for link in made] == [1, 1, 2]
 
 
-def test_several_buses_report_the_worst_state():
+def test_several_buses_report_the_worst_of_their_controller_states():
     bus, made, _ = several(3)
     for link, state in zip(made, (BusState.ACTIVE, BusState.PASSIVE, BusState.WARNING), strict=True):
         link.state, link.overflow = state, 3
@@ -156,7 +156,7 @@ def test_several_buses_report_the_worst_state():
 
 
 @pytest.mark.parametrize("refusing", [(0,), (1,), (2,), (0, 2)])
-def test_frame_that_one_bus_cannot_carry_does_not_stop_the_others(refusing):
+def test_frame_that_one_bus_cannot_carry_does_not_stop_frames_on_the_other_buses(refusing):
     bus, made, _ = several(3)
     for k in refusing:
         made[k].fails = BusError(f"bus {k}")
@@ -168,7 +168,7 @@ def test_frame_that_one_bus_cannot_carry_does_not_stop_the_others(refusing):
     assert [link.calls.count("flush") for link in made] == [1, 1, 1]
 
 
-def test_missing_frames_are_awaited_on_the_bus_of_their_last_reception():
+def test_frame_is_awaited_on_the_bus_where_its_identifier_was_last_received():
     bus, made, _ = several(3)
     made[1].looks = [[Received(3, Frame(7, b"")), Received(9, Frame(8, b""))]]
     made[2].looks = [[Received(5, Frame(9, b"")), Received(6, Frame(7, b""))]]

@@ -31,7 +31,9 @@ def waits_on(clock: Clock, deadline_ns: int, *made: dict[str, Any]) -> None:
         ({"file": 9}, {}, 50_000, 50_000),
     ],
 )
-def test_wait_lasts_until_the_first_end_of_a_frame_or_the_deadline(one, other, deadline_ns, until_ns):
+def test_wait_on_two_buses_ends_at_the_first_end_of_a_frame_or_the_deadline(
+    one, other, deadline_ns, until_ns
+):
     clock = ManualClock()
     waits_on(clock, deadline_ns, one, other)
     assert clock.slept == [until_ns]
@@ -67,7 +69,7 @@ class Bench(BenchClock):
         (False, {"quiet": False}, 81_000_000, None),  # a frame arrived between two polls
     ],
 )
-def test_descriptors_are_awaited_to_the_deadline_or_1_ms_in_a_standstill(
+def test_select_waits_to_the_deadline_or_1_ms_if_a_bus_is_off_or_simulated_time_pauses(
     monkeypatch, stood, link, deadline_ns, wait_s
 ):
     waits: list[Any] = []

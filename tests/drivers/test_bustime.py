@@ -32,12 +32,12 @@ FD_1M_5M = BitTiming(1_000_000, 5_000_000)
         (12, FD | BRS | EXTENDED, (57, 154)),
     ],
 )
-def test_frame_has_these_worst_case_bits_at_each_rate(length, flags, bits):
+def test_worst_case_bits_of_a_frame_equal_hand_calculations_at_each_bit_rate(length, flags, bits):
     assert frame_bits(length, flags) == bits
 
 
 @pytest.mark.parametrize(("length", "bits"), [(8, 135), (4, 95), (0, 55), (1, 65)])
-def test_classic_worst_case_equals_davis_2007(length, bits):
+def test_worst_case_time_of_a_classic_frame_equals_davis_2007(length, bits):
     # R. Davis et al., Real-Time Systems 35 (2007), eq. 1: 55 + 10 s bits for 11-bit identifiers
     assert 55 + 10 * length == bits
     assert frame_bits(length, 0) == (bits, 0)
@@ -45,7 +45,7 @@ def test_classic_worst_case_equals_davis_2007(length, bits):
     assert frame_bits(length, EXTENDED) == (80 + 10 * length, 0)
 
 
-def test_three_tick_layouts_take_their_designed_bus_time():
+def test_bus_time_of_three_frame_layouts_of_a_period_equals_hand_calculations():
     eight, four = Frame(1, bytes(8)), Frame(1, bytes(4))
     assert budget([eight] * 12, CLASSIC_1M, 500).total_ns == 1_620_000
     assert budget([eight] * 2 + [four] * 6, CLASSIC_1M, 500).total_ns == 840_000
@@ -55,7 +55,7 @@ def test_three_tick_layouts_take_their_designed_bus_time():
     assert round(fd.highest_rate_Hz) == 2028
 
 
-def test_the_crc_of_sync_costs_ten_bits_a_tick():
+def test_crc_byte_in_the_sync_frame_costs_ten_bits_per_period():
     """44 + 16 + 3 + floor(49 / 4) = 75 bits; with one byte 65."""
     frames = [Frame(1, bytes(32), FD | BRS)] + [Frame(2, bytes(12), FD | BRS)] * 6
     without, with_crc = (budget([Frame(0x80, bytes(n)), *frames], FD_1M_5M, 1000) for n in (1, 2))
@@ -122,7 +122,7 @@ PATTERNS = st.one_of(
 
 
 @given(st.integers(0, 0x7FF), st.booleans(), PATTERNS, st.integers(0, 8))
-def test_no_classic_bit_stream_is_longer_than_the_worst_case(id_, extended, data, n):
+def test_no_classic_can_bit_stream_is_longer_than_the_computed_worst_case(id_, extended, data, n):
     actual = classic_length(id_, extended, data[:n])
     bound = frame_bits(len(data[:n]), EXTENDED if extended else 0)[0]
     assert actual <= bound
@@ -135,7 +135,7 @@ def test_no_classic_bit_stream_is_longer_than_the_worst_case(id_, extended, data
 
 
 @given(st.integers(0, 0x7FF), st.booleans(), PATTERNS, st.sampled_from(FD_LENGTHS))
-def test_no_fd_bit_stream_takes_longer_than_the_worst_case(id_, extended, data, n):
+def test_no_can_fd_bit_stream_takes_longer_than_the_computed_worst_case(id_, extended, data, n):
     payload = data.ljust(64, data[-1:] or b"\x00")[:n]
     slow, fast = fd_length(id_, extended, payload)
     slow_bound, fast_bound = frame_bits(n, FD | BRS | (EXTENDED if extended else 0))
@@ -156,7 +156,7 @@ def test_shortest_frame_has_only_the_fixed_stuff_bits(flags, us):
     assert frame_time_ns(length, flags, FD_1M_5M, least=True) == 1000 * us
 
 
-def test_frame_lengths_are_padded_or_refused():
+def test_frame_length_is_padded_to_the_next_valid_length_or_refused():
     assert FD_LENGTHS == (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
     padded = {n: min(each for each in FD_LENGTHS if each >= n) for n in range(65)}
     assert all(frame_bits(n, FD | BRS) == frame_bits(padded[n], FD | BRS) for n in range(65))
@@ -165,19 +165,19 @@ def test_frame_lengths_are_padded_or_refused():
             frame_bits(length, flags)
 
 
-def test_the_shortest_time_is_rounded_down_and_the_longest_up():
+def test_shortest_time_of_a_frame_is_rounded_down_and_the_longest_up():
     slow = BitTiming(162_093, 162_093)
     assert frame_time_ns(0, 0, slow, least=True) == 289_956, "47 bits take 289 956.99999 ns"
     assert frame_time_ns(0, 0, slow) == 339_312, "55 bits take 339 311.38 ns"
 
 
-def test_real_bit_streams_nearly_reach_the_worst_case():
+def test_longest_real_bit_stream_is_within_4_bits_of_the_computed_worst_case():
     # identifier 0x078 and 0x78 bytes repeat 0000 1111: a stuff bit every fourth bit
     streams = [classic_length(0x078, False, bytes([byte] * 8)) for byte in (0x3C, 0x78, 0x0F, 0xC3)]
     assert max(streams) >= 135 - 4
 
 
-def test_overload_is_refused_and_shows_the_calculation():
+def test_bus_overload_is_refused_with_bits_times_load_and_highest_rate():
     many = [Frame(1, bytes(8))] * 12
     with pytest.raises(ConfigurationError) as caught:
         budget(many, CLASSIC_1M, 1000, 70).require(either_layout=True)
@@ -186,7 +186,7 @@ def test_overload_is_refused_and_shows_the_calculation():
     budget(many, CLASSIC_1M, 432, 70).require()
     with pytest.raises(ConfigurationError) as caught:
         budget([*many, Frame(1, b"", FD)], CLASSIC_1M, 1000).require(either_layout=True)
-    assert "layout: fd" not in str(caught.value), "it has that"
+    assert "layout: fd" not in str(caught.value), "the layout is fd already"
 
 
 @st.composite
@@ -208,7 +208,7 @@ def field(id_: int, flags: int) -> list[int]:
 
 
 @given(headers(), headers())
-def test_priority_agrees_with_bitwise_arbitration(a, b):
+def test_computed_frame_priority_agrees_with_bitwise_arbitration(a, b):
     first, second = field(*a), field(*b)
     for x, y in zip(first, second, strict=False):
         if x != y:
@@ -217,13 +217,13 @@ def test_priority_agrees_with_bitwise_arbitration(a, b):
     assert a == b or priority(*a) != priority(*b)
 
 
-def test_priority_cases_by_hand():
+def test_priorities_of_standard_extended_and_remote_frames_agree_with_the_standard():
     assert priority(0, ERROR) < priority(0, 0)
     assert priority(0x100, 0) < priority(0x100, REMOTE) < priority(0x100 << 18, EXTENDED)
     assert priority(0x100 << 18 | 5, EXTENDED) < priority(0x101, 0)
 
 
-def test_lowest_identifier_queued_before_the_bus_is_free_wins():
+def test_lowest_identifier_among_frames_queued_before_the_bus_is_free_wins_arbitration():
     # 0x300 has the idle bus; 0x200 and 0x100 wait for its end; 0x050 comes too late for that and is next
     queued = [(0, 0x300, 0, 100), (10, 0x200, 1, 100), (20, 0x100, 2, 100), (101, 0x050, 3, 100)]
     sent, free = arbitrate(queued, 0, 10_000)
@@ -231,7 +231,7 @@ def test_lowest_identifier_queued_before_the_bus_is_free_wins():
     assert free == 400
 
 
-def test_only_frames_that_have_begun_are_decided():
+def test_arbitration_decides_only_frames_that_begin_up_to_the_present_time():
     queued = [(0, 5, 0, 100), (0, 4, 1, 100), (0, 3, 2, 100)]
     assert arbitrate(queued, 0, 0) == ([(2, 100)], 100)
     assert arbitrate(queued, 0, 99) == ([(2, 100)], 100)
@@ -261,7 +261,7 @@ def test_bus_never_idles_and_sends_the_highest_priority_first(frames):
     st.lists(st.tuples(st.integers(0, 1000), st.integers(0, 5), st.integers(1, 200)), max_size=20),
     st.lists(st.integers(0, 2000), max_size=5),
 )
-def test_intermediate_polls_do_not_change_the_arbitration(frames, looks):
+def test_intermediate_polls_do_not_change_the_result_of_arbitration(frames, looks):
     queued = [(t, key, i, duration) for i, (t, key, duration) in enumerate(frames)]
     at_once, _ = arbitrate(queued, 100, 1 << 40)
     assert len(at_once) == len(queued)

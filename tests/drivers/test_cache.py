@@ -47,7 +47,7 @@ def fourfold(x):
 """
 
 
-def test_a_kernel_is_compiled_once_for_all_processes(tmp_path):
+def test_compiled_kernel_is_reused_from_the_cache_by_all_processes(tmp_path):
     (tmp_path / "kernels_of_a_test.py").write_text(KERNELS)
     time.sleep(0.1)  # otherwise they would count as saved meanwhile
     search = os.pathsep.join([str(tmp_path), str(ROOT)])
@@ -75,7 +75,7 @@ def test_every_file_with_kernels_is_precompiled():
     assert with_kernels() <= set(modules())
 
 
-def test_all_sources_of_a_kernel_are_in_its_room_or_below():
+def test_all_sources_that_a_kernel_depends_on_are_in_its_package_or_a_lower_layer():
     graph = grimp.build_graph(*PACKAGES)
     for name in with_kernels():
         own = (ROOT / name.replace(".", "/")).with_suffix(".py")
@@ -146,7 +146,7 @@ def test_damaged_cache_file_is_compiled_again(package):
         assert [package.compiles(), package.compiles()] == [True, False]
 
 
-def test_functions_that_differ_only_by_their_file_are_cached_apart(package):
+def test_functions_that_differ_only_by_their_file_have_separate_cache_entries(package):
     """Such as two scripts, both `__main__`, with one function on the same line."""
     files = {factor: package.folder / f"by{factor}.py" for factor in (2, 5)}
     for factor, file in files.items():
@@ -156,13 +156,13 @@ def test_functions_that_differ_only_by_their_file_are_cached_apart(package):
     assert len(places - {None}) == 2
 
 
-def test_without_a_writable_folder_each_process_compiles(package, monkeypatch):
+def test_kernel_is_compiled_in_each_process_if_no_cache_folder_is_writable(package, monkeypatch):
     (package.folder.parent / "file").touch()
     monkeypatch.setattr(cache, "CACHE_FOLDER", package.folder.parent / "file")
     assert [package.compiles(), package.compiles()] == [True, True]
 
 
-def test_loaded_kernel_computes_raises_and_can_be_called_by_kernels(package, monkeypatch):
+def test_kernel_loaded_from_the_cache_computes_raises_and_can_be_called_by_kernels(package, monkeypatch):
     package.loaded()
     with monkeypatch.context() as patch:
         patch.setattr(binding, "parse_bitcode", None)
@@ -183,7 +183,7 @@ def test_loaded_kernel_computes_raises_and_can_be_called_by_kernels(package, mon
 
 
 @pytest.mark.parametrize(("given", "used"), [(None, ".cache"), ("relative", ".cache"), ("{}/own", "own")])
-def test_cache_is_in_an_absolute_xdg_cache_home_else_in_the_home_folder(monkeypatch, tmp_path, given, used):
+def test_kernel_cache_is_in_an_absolute_xdg_cache_home_or_the_home_folder(monkeypatch, tmp_path, given, used):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     if given:

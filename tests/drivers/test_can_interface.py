@@ -37,14 +37,14 @@ def settings(**changes):
     return BusSettings.model_validate({"interface": "socketcan", "channel": "can0", **changes})
 
 
-def test_a_controller_is_read_from_the_kernels_answer():
+def test_state_and_bit_rates_of_a_can_controller_are_read_from_the_netlink_answer():
     found = parse("can0", CAN0)
     assert found[:6] == ("can0", 5, True, 72, "can", True)
     assert found[6:] == (1_000_000, 5_000_000, BusState.PASSIVE, 100, 0x20, (128, 127))
     assert "1000000 bit/s, data 5000000 bit/s, state PASSIVE, restart-ms 100" in found.facts
 
 
-def test_a_virtual_interface_has_no_controller_to_compare():
+def test_virtual_can_interface_is_not_compared_with_the_configured_bit_rates():
     found = parse("vcan0", VCAN0)
     assert (found.kind, found.has_controller, refusal(found, settings())) == ("vcan", False, "")
     assert "nothing was compared" in found.facts
@@ -52,19 +52,19 @@ def test_a_virtual_interface_has_no_controller_to_compare():
 
 
 @pytest.mark.parametrize("cut", range(16, len(CAN0), 3))
-def test_truncated_answer_is_read_up_to_its_end(cut):
+def test_truncated_netlink_answer_is_read_up_to_its_end(cut):
     assert parse("can0", CAN0[:cut]).number == 5
 
 
 @pytest.mark.parametrize(
     ("number", "state"), [(0, "ACTIVE"), (1, "WARNING"), (2, "PASSIVE"), (3, "OFF"), (4, "UNKNOWN")]
 )
-def test_states_follow_enum_can_state(number, state):
+def test_states_of_a_can_controller_are_numbered_as_in_the_kernels_enum_can_state(number, state):
     raw = CAN0.replace(bytes.fromhex(STATE), bytes.fromhex(f"0800 0400 0{number}000000"))
     assert parse("can0", raw).state is BusState[state]
 
 
-def test_the_configured_interface_is_not_refused():
+def test_can_interface_that_matches_the_configuration_is_accepted():
     assert refusal(can0(), settings()) == ""
     assert refusal(can0(), settings(layout="classic", options={"restart_ms": 100})) == ""
     # an adapter that was not set up through the kernel
@@ -87,12 +87,12 @@ def test_the_configured_interface_is_not_refused():
         ({"up": False}, {}, ["is down", "up"]),
     ],
 )
-def test_interface_that_differs_is_refused_with_both_values(changes, wanted, words):
+def test_can_interface_unlike_the_configuration_is_refused_with_both_values(changes, wanted, words):
     why = refusal(can0(**changes), settings(**wanted))
     assert all(word in why for word in words), why
 
 
-def test_all_differences_of_an_interface_are_reported_at_once():
+def test_all_differences_of_a_can_interface_from_the_configuration_are_reported_at_once():
     found = can0(bitrate_bit_s=500_000, data_bitrate_bit_s=2_000_000, modes=0x23)
     why, fix = refusal(found, settings(options={"restart_ms": 0})).split(": ", 1)
     assert len(why.split("; ")) == 5
@@ -124,7 +124,7 @@ def test_all_differences_of_an_interface_are_reported_at_once():
         (0x080, "", "UNKNOWN", False),
     ],
 )
-def test_an_error_frame_reports_state_and_overflow(identifier, data, state, overflow):
+def test_error_frame_gives_the_can_controller_state_and_overflow(identifier, data, state, overflow):
     assert read_error(identifier | 0x400, bytes.fromhex(data)) == (BusState[state], overflow)
 
 
@@ -138,7 +138,7 @@ def queue(index: int, parent: str, length: int) -> bytes:
     return bytes.fromhex(f"00000000 {index:02x}000000 00000180 {parent} 02000000 {options}")
 
 
-def test_waiting_frames_are_counted_in_the_root_queues_of_one_link(monkeypatch):
+def test_frames_queued_for_sending_are_counted_in_the_root_queues_of_one_interface(monkeypatch):
     asked: list[Any] = []
 
     def request(*given: Any) -> list[bytes]:

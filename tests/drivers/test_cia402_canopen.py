@@ -125,7 +125,7 @@ def map_cyclic(node) -> None:
         pdo.save()
 
 
-def test_canopen_brings_up_an_emulated_drive_and_moves_it(network, od):
+def test_python_package_canopen_enables_and_moves_an_emulated_drive(network, od):
     network, channel = network
     node = network.add_node(BaseNode402(NODE, od(NODE)))
     with Emulated(channel) as emulated:
@@ -162,7 +162,7 @@ def test_canopen_brings_up_an_emulated_drive_and_moves_it(network, od):
         assert emulated.nodes.snapshot().brake[LEG] == 1.0
 
 
-def test_canopen_reads_the_abort_codes_and_the_emcy_of_an_emulated_drive(network, od):
+def test_python_package_canopen_reads_abort_codes_and_emcy_of_an_emulated_drive(network, od):
     network, channel = network
     node = network.add_node(BaseNode402(NODE, od(NODE)))
     with Emulated(channel):
@@ -233,7 +233,7 @@ class Local:
                         pdo.transmit()
 
 
-def test_our_controller_sets_up_six_drives_of_canopen(network, od):
+def test_controller_sets_up_six_drives_implemented_with_the_python_package_canopen(network, od):
     network, channel = network
     local = Local(network, od)
     protocol = ByValue(drives())
@@ -277,7 +277,7 @@ def test_our_controller_sets_up_six_drives_of_canopen(network, od):
     np.testing.assert_allclose(tick["length"], expected, rtol=0, atol=1e-12)
 
 
-def test_canopen_knows_each_abort_code_that_has_a_meaning_here():
+def test_every_abort_code_with_a_text_is_known_to_the_python_package_canopen():
     known = import_module("canopen.sdo.exceptions").SdoAbortedError.CODES
     assert len(set(ABORTS.values())) == len(ABORTS) > 20
     assert set(ABORTS) <= set(known)

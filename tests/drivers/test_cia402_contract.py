@@ -61,7 +61,7 @@ def alone(ends: Ends, frames: Any, ticks: int) -> list[Frame]:
     return sent
 
 
-def test_each_drive_faults_without_heartbeat_although_pdos_continue():
+def test_each_drive_faults_without_the_controllers_heartbeat_although_pdos_continue():
     ends = Ends(drives())
     ends.running()
     for _ in range(40):
@@ -78,7 +78,7 @@ def test_each_drive_faults_without_heartbeat_although_pdos_continue():
     assert "heartbeat" in ends.protocol.fault_text(0x8130)
 
 
-def test_only_heartbeats_of_its_controller_keep_a_drive_enabled():
+def test_drive_stays_enabled_by_heartbeats_of_its_controller_only():
     ends = Ends(drives())
     ends.running()
     alone(ends, [Frame(HEARTBEAT, b"\x05")], 100)
@@ -88,7 +88,7 @@ def test_only_heartbeats_of_its_controller_keep_a_drive_enabled():
 
 
 @pytest.mark.parametrize("runs", [True, False])
-def test_emergency_stop_with_off_in_the_same_tick_lasts_until_a_reset(runs):
+def test_emergency_stop_sent_together_with_off_lasts_until_a_reset(runs):
     ends = Ends(drives())
     if runs:
         ends.running()
@@ -108,7 +108,7 @@ def test_emergency_stop_with_off_in_the_same_tick_lasts_until_a_reset(runs):
     assert not ends.measurement["drive_fault"].any()
 
 
-def test_force_starts_with_enabling_which_is_not_possible_from_off():
+def test_drive_gives_force_only_in_run_which_it_cannot_enter_directly_from_off():
     ends = Ends(drives())
     ends.until_set_up()
     for command, state in ((RUN, DriveState.OFF), (READY, DriveState.READY)):

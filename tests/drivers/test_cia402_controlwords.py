@@ -50,7 +50,7 @@ WORDS = {
 
 
 @pytest.mark.parametrize(("mode", "stopped"), WORDS)
-def test_each_state_gets_the_controlword_of_its_mode(mode, stopped):
+def test_controlword_follows_from_commanded_mode_and_drive_state(mode, stopped):
     for edge in (False, True):
         found = tuple(controlword(mode, state, edge=edge, stopped=stopped) for state in (-1, *State))
         assert found == ((0x80,) * 9 if edge and mode == RESET else WORDS[mode, stopped])
@@ -70,7 +70,7 @@ def test_each_state_gets_the_controlword_of_its_mode(mode, stopped):
         (0x8F, (0, 1, 2, 3, 4, 5, 6, 1)),
     ],
 )
-def test_controlword_leads_each_state_to_that_of_the_automaton(word, after):
+def test_controlword_leads_from_each_state_to_the_next_state_of_the_cia402_automaton(word, after):
     assert tuple(map(int, (commanded(word, state, rises=True) for state in State))) == after
     level = tuple(map(int, (commanded(word, state, rises=False) for state in State)))
     assert level == (*after[:7], 7), "only a rising edge clears a fault"
@@ -97,18 +97,18 @@ PERMILLE = (10, -20, 30, 40, -50, 60)
 FORCE = SIGN * PERMILLE_N * np.array(PERMILLE)
 
 
-def test_torques_are_sent_in_ready_and_run_and_zero_in_off_and_reset():
+def test_commanded_torques_are_sent_in_ready_and_run_and_zero_torque_in_off_and_reset():
     for mode in DriveMode:
         words = {OFF: 6, READY: 7, RUN: 15, RESET: 0}
         _, found = sent(begun(rate=(float("nan"),) * 6), Command(mode, FORCE))
         assert found == [(words[mode], torque if mode in (READY, RUN) else 0) for torque in PERMILLE]
 
 
-def test_reset_has_a_rising_edge_in_even_ticks():
+def test_controlword_of_a_reset_has_its_rising_edge_in_even_control_periods():
     assert [sent(begun(), Command(RESET, FORCE), tick)[1][0][0] for tick in (2, 3, 4)] == [0x80, 0, 0x80]
 
 
-def test_stop_halts_all_drives_until_a_reset_and_ends_their_torque():
+def test_stop_halts_all_drives_without_torque_until_a_reset():
     dialogue, found = sent(begun(), Command(RUN, FORCE, stop=True))
     assert (dialogue.stopped, found) == (0b111111, [(6, 0)] * 6)
     dialogue, found = sent(begun(stopped=0b010010), Command(RUN, FORCE))
@@ -117,7 +117,7 @@ def test_stop_halts_all_drives_until_a_reset_and_ends_their_torque():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_drive_that_missed_a_reset_gets_one_when_set_up_and_in_fault(leg):
+def test_drive_in_fault_that_missed_a_reset_gets_one_after_its_set_up(leg):
     done = begun().at
     early = begun(at=tuple(3 if k == leg else n for k, n in enumerate(done)), states=(int(State.FAULT),) * 6)
     dialogue, _ = sent(early, Command(RESET, FORCE))
@@ -134,7 +134,7 @@ def test_drive_that_missed_a_reset_gets_one_when_set_up_and_in_fault(leg):
     ("watchdog_s", "rate_Hz", "beat"),
     [(0.05, 250.0, 3), (0.016, 250.0, 2), (0.064, 250.0, 4), (0.1, 1000.0, 25), (0.05, 100.0, 2)],
 )
-def test_heartbeat_is_sent_four_times_per_watchdog_with_any_command(watchdog_s, rate_Hz, beat):
+def test_controller_heartbeat_is_sent_four_times_per_watchdog_time(watchdog_s, rate_Hz, beat):
     start = P.start(DriveSetup(watchdog_s, Reaction.DAMP, rate_Hz))
     for mode in DriveMode:
         for stop in (False, True):
@@ -142,7 +142,7 @@ def test_heartbeat_is_sent_four_times_per_watchdog_with_any_command(watchdog_s, 
             assert found == [() if n % beat else (Frame(0x77F, b"\5"),) for n in range(60)]
 
 
-def test_largest_force_is_that_of_the_weakest_leg():
+def test_largest_allowed_force_is_that_of_the_weakest_leg():
     unlike = ByValue(made(NODES, UNLIKE_GEAR, force_limit_N=100.0))
     with pytest.raises(ProtocolError, match=r"up to 18529\.3 N"):
         unlike.command(unlike.start(SETUP), Command(RUN, np.full(6, 1e5)), 1)
@@ -159,7 +159,7 @@ RATE = (0.2, -0.2, 0.2, 0.0, -0.2, 0.05)
         ({"back_driving_efficiency": 1.0}, (1.25, 1.0, 1.0, 1.0, 1.25, 1.125)),
     ],
 )
-def test_losses_are_those_of_each_leg_at_its_last_rate(changes, shares):
+def test_torque_command_includes_the_losses_of_each_leg_at_its_last_measured_rate(changes, shares):
     lossy = ByValue(made(NODES, UNLIKE_GEAR.model_copy(update=changes), force_limit_N=100.0))
     force = np.array([100.0, 100.0, -100.0, 100.0, -100.0, 100.0])
     start = lossy.start(SETUP)._replace(rate=RATE, states=(int(State.ENABLED),) * 6)
@@ -177,7 +177,7 @@ U = drives(UNLIKE_NODES)
 
 
 @pytest.mark.parametrize("leg", ALL)
-def test_frame_is_to_or_from_the_drive_of_its_node_or_to_all_drives(leg):
+def test_identifier_of_a_frame_gives_its_drive_and_direction_or_all_drives(leg):
     node = UNLIKE_NODES[leg]
     for kind in range(0x080, 0x780, 0x80):
         sends = kind in (0x080, 0x180, 0x280, 0x380, 0x480, 0x580, 0x700)
@@ -208,13 +208,13 @@ def test_only_an_sdo_answer_identifies_its_drive(leg):
     assert [U.identity(frame) for frame in wrong] == [None] * len(wrong)
 
 
-def test_tick_has_a_sync_six_rpdos_and_one_or_two_tpdos_per_drive():
+def test_frames_of_a_period_are_a_sync_six_rpdos_and_one_or_two_tpdos_per_drive():
     assert P.traits.emergency_stop == tuple(Frame(0x200 + node, b"\2\0\0\0") for node in NODES)
     for velocity, kinds in ((True, [1, *[4] * 6, *[3, 5] * 6]), (False, [1, *[4] * 6, *[3] * 6])):
         assert [frame.id >> 7 for frame in drives(velocity=velocity).traits.cyclic_frames] == kinds
 
 
-def test_reported_lengths_have_the_range_of_32_bits_of_counts():
+def test_range_of_reported_leg_lengths_is_that_of_32_bit_encoder_counts():
     offset = np.array([0.75] * 5 + [0.5])
     below, above = 2147483648 * STEP_m, 2147483647 * STEP_m
     shortest, longest = P.traits.reported_lengths
@@ -234,7 +234,7 @@ def configured(
     return loaded("hil.protocols", "cia402")(BusSettings(layout=layout), section)
 
 
-def test_each_setting_of_the_drives_reaches_its_object():
+def test_each_setting_of_the_drives_is_written_to_its_object_of_the_dictionary():
     own: dict[str, Any] = {
         "node_ids": [9, 8, 7, 6, 5, 4], "heartbeat_ms": 35.0, "watchdog_ms": 20.0, "force_limit_N": 500.0,
     }  # fmt: skip
@@ -283,6 +283,6 @@ def test_each_setting_of_the_drives_reaches_its_object():
         ),
     ],
 )
-def test_invalid_setting_is_refused_with_its_name(changes, message):
+def test_invalid_setting_of_cia402_drives_is_refused_with_its_key(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         configured(**changes)

@@ -131,7 +131,7 @@ def test_heartbeat_time_and_fault_reaction_set_the_watchdog_reaction(time_ms, re
         (State.SWITCHED_ON, 0x07, State.SWITCHED_ON, []),
     ],
 )
-def test_controlword_acts_by_its_target_state(before, word, after, messages):
+def test_controlword_changes_state_and_force_as_the_cia402_automaton(before, word, after, messages):
     memory, found = control(drive(state=before), word, 100)
     assert found == messages
     assert (field(memory, "state"), field(memory, "commands")) == (after, 9)
@@ -146,7 +146,7 @@ def test_torque_saturates_at_max_torque_and_is_zero_without_a_mode(torque, taken
     assert control(drive(objects={o.MODE: 0}), 0x0F, torque)[1] == [command(RUN, 9)]
 
 
-def test_a_quick_stop_reports_its_state_once_and_option_0_disables_at_once():
+def test_quick_stop_reports_quick_stop_active_once_and_with_option_0_disables_the_drive_at_once():
     memory = drive()
     for _ in range(2):
         memory, _ = control(memory, 0x02)
@@ -160,7 +160,7 @@ def test_a_quick_stop_reports_its_state_once_and_option_0_disables_at_once():
     assert (field(memory, "state"), found) == (State.DISABLED, [command(OFF, 8)])
 
 
-def test_pdo_acts_in_operational_only_and_a_short_one_causes_an_emcy():
+def test_pdo_acts_on_a_drive_in_operational_only_and_a_short_pdo_causes_an_emcy():
     assert given(drive(), 0x204, struct.pack("<Hhx", 0x0F, 100))[1] == [command(RUN, 9, -250.0)]
     for nmt in (0, 4, 127):
         assert control(drive(nmt=nmt), 0x0F, 100) == (drive(nmt=nmt), [])
@@ -180,7 +180,7 @@ def test_pdo_acts_in_operational_only_and_a_short_one_causes_an_emcy():
         (DriveFault.ESTOP, ""),
     ],
 )
-def test_each_fault_sends_one_emcy_and_another_one_when_it_ends(fault, emcy):
+def test_drive_sends_one_emcy_when_a_fault_begins_and_one_when_the_fault_ends(fault, emcy):
     memory = drive(objects={o.COMMUNICATION_ERROR: 1})
     for _ in range(2):
         for state, data in ((DriveState.FAULT, emcy), (DriveState.OFF, "0000000000000000")):
@@ -195,7 +195,7 @@ def test_each_fault_sends_one_emcy_and_another_one_when_it_ends(fault, emcy):
         assert field(memory, "nmt") == (after if fault == DriveFault.WATCHDOG else nmt)
 
 
-def test_only_operational_drives_with_a_valid_position_answer():
+def test_sync_is_answered_only_by_operational_drives_with_a_valid_position():
     zeros = np.zeros(6)
     for lost in range(6):
         states = np.array([1, 2, 3, 4, 3, 3])

@@ -20,7 +20,7 @@ def check(path: Path, data: str | bytes, may_lack: tuple[tuple[int, int], ...] =
     check_eds(str(path), velocity=True, may_lack=may_lack)
 
 
-def test_check_of_a_data_sheet_lists_all_missing_objects(tmp_path):
+def test_check_of_an_eds_file_lists_all_missing_objects(tmp_path):
     path = tmp_path / "drive.eds"
     path.write_text(sheet(), encoding="ascii")
     for velocity in (True, False):
@@ -41,7 +41,7 @@ def test_check_of_a_data_sheet_lists_all_missing_objects(tmp_path):
         assert any("0x1801" in each for each in said) == velocity
 
 
-def test_sheet_that_is_no_file_is_refused(tmp_path):
+def test_eds_path_that_is_not_a_file_is_refused(tmp_path):
     with pytest.raises(ConfigurationError, match="no such file"):
         check_eds(str(tmp_path), velocity=True)
 
@@ -65,11 +65,11 @@ MAKERS = "[2000]\nParameterName=own\n"
         TEXT.replace("\n", " ; a remark\r\n"),
     ],
 )
-def test_sheet_with_trouble_outside_the_objects_that_are_needed_is_read(tmp_path, data):
+def test_eds_file_with_errors_outside_the_required_objects_is_accepted(tmp_path, data):
     check(tmp_path / "drive.eds", data)
 
 
-def test_elements_of_a_compact_array_have_its_access(tmp_path):
+def test_elements_of_a_compact_array_in_an_eds_file_have_the_access_of_the_array(tmp_path):
     compact = "[1016]\nObjectType=8\nCompactSubObj={}\nDataType=7\nAccessType={}\n"
     check(tmp_path / "drive.eds", sheet(0x1016) + compact.format(2, "rw"))
     for wrong in (compact.format(0, "rw"), compact.format(2, "ro")):
@@ -78,7 +78,7 @@ def test_elements_of_a_compact_array_have_its_access(tmp_path):
 
 
 @pytest.mark.parametrize("data", ["ServoDrive 5\n" + TEXT, "\0" * 10_000, TEXT + "=5\n"])
-def test_unreadable_sheet_is_refused_in_one_line_with_file_and_line(tmp_path, data):
+def test_unreadable_eds_file_is_refused_in_one_line_with_file_and_line(tmp_path, data):
     with pytest.raises(ConfigurationError, match=r"drive\.eds cannot be read: .*line") as refused:
         check(tmp_path / "drive.eds", data)
     assert "\n" not in str(refused.value)
@@ -96,7 +96,7 @@ def test_unreadable_sheet_is_refused_in_one_line_with_file_and_line(tmp_path, da
         ("DefaultValue=", ""),
     ],
 )
-def test_drive_whose_sheet_lists_other_modes_than_torque_is_refused(tmp_path, modes, listed):
+def test_drive_without_a_torque_mode_in_its_eds_file_is_refused(tmp_path, modes, listed):
     data = f"{sheet(0x6502)}[6502]\nParameterName=modes\nAccessType=ro\n{modes}\n"
     if not listed:
         check(tmp_path / "drive.eds", data)
@@ -105,7 +105,7 @@ def test_drive_whose_sheet_lists_other_modes_than_torque_is_refused(tmp_path, mo
         check(tmp_path / "drive.eds", data)
 
 
-def test_user_may_vouch_for_rated_torque_and_lost_heartbeat(tmp_path):
+def test_option_replaces_the_missing_rated_torque_or_abort_connection_object_of_an_eds_file(tmp_path):
     path, both = tmp_path / "drive.eds", (RATED_TORQUE, ABORT_CONNECTION)
     check(path, sheet(0x6076, 0x6007), both)
     for index, option, other in ((0x6076, "has_rated_torque", 1), (0x6007, "has_abort_connection", 0)):

@@ -60,7 +60,7 @@ def decoded(
     return tick, protocol.decode(begun(protocol, **fields), received_array(timed), before, tick, WOKE_NS)
 
 
-def test_tick_without_frames_keeps_the_measurement_and_counts_nothing():
+def test_period_without_frames_keeps_the_last_measurement_increases_ages_and_counts_no_error():
     before = last_tick(10, [0, 2, 5, NEVER, NEVER - 2, 1])
     tick, _ = decoded(last=before)
     for name in KEPT:
@@ -74,7 +74,7 @@ def test_tick_without_frames_keeps_the_measurement_and_counts_nothing():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_two_tpdos_measure_their_leg_and_no_other(leg):
+def test_two_tpdos_of_a_drive_update_the_measurement_of_its_leg_only(leg):
     tick, dialogue = decoded(speed(leg, -262144), place(leg, 131072, -100))
     t, before = P.transmission, last_tick()
     six = np.ones(6)
@@ -93,7 +93,7 @@ def test_two_tpdos_measure_their_leg_and_no_other(leg):
     assert dialogue.rate == tuple(tick["rate"].tolist())
 
 
-def test_tpdo1_without_tpdo2_gives_the_state_but_no_length():
+def test_tpdo1_without_tpdo2_gives_the_drive_state_but_no_length():
     tick, dialogue = decoded(place(2, 131072, 100, State.DISABLED), states=(int(State.DISABLED),) * 6)
     assert tick["drive_state"].tolist() == [0, 1, OFF, 3, 4, 1]
     assert tick["drive_force"][2] != last_tick()["drive_force"][2]
@@ -102,14 +102,14 @@ def test_tpdo1_without_tpdo2_gives_the_state_but_no_length():
     assert decoded(speed(2, 500))[0]["rate"].tolist() == last_tick()["rate"].tolist()
 
 
-def test_answer_before_the_end_of_sync_on_its_bus_is_one_tick_old():
+def test_answer_received_before_the_end_of_sync_on_its_bus_is_one_period_old():
     for t_ns, first, last in ((1_499, 1, 1), (1_500, 0, 1), (1_799, 0, 1), (1_800, 0, 0)):
         frames = [(t_ns, frame) for leg in (0, 5) for frame in (place(leg, 100), speed(leg))]
         tick, _ = decoded(*frames, last=last_tick(age=3))
         assert tick["age"].tolist() == [first, 4, 4, 4, 4, last]
 
 
-def test_late_answer_counts_unless_a_newer_one_is_held():
+def test_late_answer_is_used_unless_a_newer_one_was_already_received():
     late, here = (WOKE_NS, place(2, 131072)), (WOKE_NS, speed(2))
     for age, there in ((0, False), (1, True)):
         ages = [1 - age] * 6
@@ -127,7 +127,7 @@ def test_late_answer_counts_unless_a_newer_one_is_held():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_second_answer_marks_a_doubled_node_unless_the_drive_owes_it(leg):
+def test_second_different_answer_marks_a_duplicate_node_unless_an_earlier_one_is_missing(leg):
     frames = [place(leg, 100), speed(leg, 1)]
     tick, _ = decoded(*frames, place(leg, 101), owed=(0,) * 12)
     assert tick["doubled"] == 1 << leg
@@ -140,7 +140,7 @@ def test_second_answer_marks_a_doubled_node_unless_the_drive_owes_it(leg):
     assert dialogue.owed == tuple(0 if each % 6 == leg else 1 for each in range(12))
 
 
-def test_owed_answers_are_counted_by_drive_and_kind_once_it_is_set_up():
+def test_missing_answers_are_counted_per_drive_and_kind_of_tpdo_after_its_set_up():
     owed, at = tuple(range(10, 22)), (*begun().steps[:5], 0)
     _, dialogue = decoded(place(1), speed(4), owed=owed, at=at)
     assert dialogue.owed == (11, 11, 13, 14, 15, 0, 17, 18, 19, 20, 20, 0)
@@ -159,15 +159,15 @@ def doubled(*counts: int, before: int = 20, ends: Remembered | None = None) -> l
     return found
 
 
-def test_drive_that_missed_ticks_may_send_as_many_answers_later():
+def test_drive_may_send_as_many_late_answers_as_are_missing_without_counting_as_duplicate():
     assert doubled(0, 2) == doubled(0, 1, 1, 2) == []
-    assert doubled(0, 1, 2, 2) == [3], "it owed only one"
+    assert doubled(0, 1, 2, 2) == [3], "only one answer was missing"
     for late in (1, 2, 5, 16):
         for lasts in (0, 40, 120):
-            assert doubled(*[0] * late, *[1] * lasts, late + 1, 1, 1) == [], "a delay that lasts"
+            assert doubled(*[0] * late, *[1] * lasts, late + 1, 1, 1) == [], "a lasting delay of the answers"
 
 
-def test_second_node_is_found_within_21_ticks_whatever_was_lost_before():
+def test_duplicate_node_is_detected_within_21_periods_however_many_answers_were_lost_before():
     assert doubled(*[2] * 5) == [0, 1, 2, 3, 4]
     for lost in (1, 8, 20, 33, 300):
         assert doubled(*[0] * lost, *[2] * 30)[0] == lost + min(lost, 20), "answers were lost"
@@ -177,7 +177,7 @@ def test_second_node_is_found_within_21_ticks_whatever_was_lost_before():
     assert doubled(3, before=0, ends=started) == [0]
 
 
-def test_second_node_that_answers_before_the_next_sync_is_found():
+def test_duplicate_node_that_answers_just_before_the_next_sync_is_detected():
     answers = [[place(4, k), speed(4, k)] for k in (100, 101, 102)]
     _, dialogue = decoded(*answers[0])
     for late, found in ((answers[0], 0), (answers[1], 1 << 4)):
@@ -188,7 +188,7 @@ def test_second_node_that_answers_before_the_next_sync_is_found():
         assert tick["doubled"] == found
 
 
-def test_broken_frames_are_counted_and_change_nothing():
+def test_invalid_frames_are_counted_and_do_not_change_the_measurement():
     bad = {
         0x182: (bytes(7), b"\xff\xff" + bytes(6)), 0x282: (bytes(8),), 0x082: (bytes(7),),
         0x702: (b"\6", b"\5\5"), 0x582: (bytes(7),),
@@ -201,7 +201,7 @@ def test_broken_frames_are_counted_and_change_nothing():
     assert dialogue.at == begun().at
 
 
-def test_frames_of_another_controller_are_foreign_and_unknown_ones_are_not():
+def test_controller_frames_from_elsewhere_count_as_foreign_and_unknown_frames_do_not():
     for frame, name in (
         (Frame(0x080, b""), Foreign.SYNC),
         (Frame(0x000, b"\1\5"), Foreign.CONFIG),
@@ -226,7 +226,7 @@ def test_emcy_sets_or_clears_the_fault_of_its_drive(leg):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_drive_that_boots_loses_its_fault_its_answer_and_its_set_up(leg):
+def test_boot_up_message_clears_the_fault_the_answer_and_the_set_up_of_its_drive(leg):
     before, mine = last_tick(), [each == leg for each in range(6)]
     before["drive_fault"] = 0x7305
     booted = place(leg), speed(leg), Frame(0x701 + leg, b"\0")
@@ -243,7 +243,7 @@ def test_drive_that_boots_loses_its_fault_its_answer_and_its_set_up(leg):
 @pytest.mark.parametrize(
     ("nmt", "done", "again"), [(4, True, True), (127, True, True), (5, True, False), (127, False, False)]
 )
-def test_drive_that_leaves_operational_is_set_up_again_and_keeps_its_fault(nmt, done, again):
+def test_drive_that_leaves_nmt_operational_is_set_up_again_and_keeps_its_fault(nmt, done, again):
     at = begun().at if done else (2,) * 6
     tick, dialogue = decoded(Frame(0x705, bytes((nmt,))), at=at)
     assert dialogue.at == tuple(0 if again and leg == 4 else n for leg, n in enumerate(at))
@@ -252,7 +252,7 @@ def test_drive_that_leaves_operational_is_set_up_again_and_keeps_its_fault(nmt, 
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_drive_after_a_quick_stop_is_in_fault_until_switched_on(leg):
+def test_drive_after_a_quick_stop_counts_as_in_fault_until_it_is_switched_on(leg):
     def of_leg(own: State, others: State) -> tuple[int, ...]:
         return tuple(int(own if each == leg else others) for each in range(6))
 
@@ -291,7 +291,7 @@ def test_first_answer_after_nmt_start_completes_the_set_up_of_its_drive(leg):
 
 
 @pytest.mark.parametrize("changes", [{}, {"efficiency": 1.0}, {"back_driving_efficiency": 1.0}])
-def test_measured_forces_include_the_losses_of_each_leg_at_its_rate(changes):
+def test_measured_force_of_each_leg_includes_its_transmission_losses_at_its_rate(changes):
     lossy = ByValue(made(NODES, UNLIKE_GEAR.model_copy(update=changes), force_limit_N=100.0))
     counts = [30000, -30000, 0, 30000, -30000, 2000]
     frames = [f for leg in range(6) for f in (place(leg, 0, 100), speed(leg, 65536 * counts[leg] // 100))]
@@ -300,7 +300,7 @@ def test_measured_forces_include_the_losses_of_each_leg_at_its_rate(changes):
     np.testing.assert_allclose(tick["drive_force"], expected, rtol=1e-9)
 
 
-def test_force_of_a_drive_without_losses_follows_only_from_its_torque():
+def test_measured_force_of_a_leg_without_losses_follows_from_the_motor_torque_alone():
     last = last_tick()
     last["rate"] = np.nan
     tick, _ = decoded(*(place(leg, 0, 100) for leg in range(6)), last=last)
@@ -311,7 +311,7 @@ def test_force_of_a_drive_without_losses_follows_only_from_its_torque():
 
 
 @pytest.mark.parametrize("late", [0, 1])
-def test_rate_from_lengths_is_the_slope_at_the_end_of_a_parabola(late):
+def test_rate_from_three_lengths_is_the_slope_at_the_end_of_their_parabola(late):
     """10 k + k^2 counts at k tenths of a millisecond after the first SYNC, answered in this tick or the next."""
     protocol, last = ByValue(drives(NODES, velocity=False)), new_record()
     dialogue = protocol.start(SETUP)
@@ -330,7 +330,7 @@ def test_rate_from_lengths_is_the_slope_at_the_end_of_a_parabola(late):
 
 
 @pytest.mark.parametrize("late", [0, 1])
-def test_length_is_latched_at_the_end_of_sync_on_the_bus_of_its_leg(late):
+def test_length_is_sampled_at_the_end_of_sync_on_the_bus_of_its_leg(late):
     last = last_tick(age=3)
     last["t_ns"], last["lateness_ns"], last["latch_ns"] = 100, 20, [1, 2, 3, 4, 5, 6]
     tick = new_record()
@@ -345,7 +345,7 @@ def test_length_is_latched_at_the_end_of_sync_on_the_bus_of_its_leg(late):
     assert tick["age"].tolist() == [late] * 6
 
 
-def test_step_of_half_to_fifty_periods_gives_a_rate():
+def test_rate_is_computed_from_lengths_half_to_fifty_periods_apart():
     protocol = ByValue(drives(NODES, velocity=False))
     run = received_array([Received(2_000, place(leg, 131072)) for leg in range(6)])
     before = {"mean": 0.5, "T": 0.004, "latched_ns": 0, "length": 0.0, "has_length": 1}

@@ -33,7 +33,7 @@ READ_BACK = """
 """
 
 
-def test_drive_is_identified_mapped_set_read_back_and_started_in_order():
+def test_set_up_identifies_a_drive_maps_its_pdos_writes_settings_reads_them_back_and_starts_it():
     steps = plan(5, SETUP, drives())
 
     def read(index: int, sub: int) -> bytes:
@@ -46,7 +46,7 @@ def test_drive_is_identified_mapped_set_read_back_and_started_in_order():
     assert [step.request(5) for step in steps] == expected
 
 
-def test_read_values_are_compared_in_the_bits_of_their_mask():
+def test_values_read_back_in_set_up_are_compared_in_the_bits_of_their_mask():
     found = {step.key: step for step in plan(5, SETUP, drives(), 4096) if step.kind == "read"}
     whole, cob, off = 0xFFFFFFFF, 0xBFFFFFFF, 0x80000000
     expected = {
@@ -69,7 +69,7 @@ def values(protocol: Any, kind: str, key: tuple[int, int], setup: DriveSetup = S
     return [[s.value for s in each if (s.kind, s.key) == (kind, key)] for each in protocol.plans(setup)]
 
 
-def test_plan_depends_on_rate_velocity_counts_and_reaction():
+def test_steps_of_the_set_up_depend_on_rate_velocity_source_counts_and_reaction():
     # 391 Hz: 2.558 ms, more than 255 steps of 10 us
     for rate_Hz, *period in ((2000.0, 50, -5), (391.0, 26, -4), (1000.0 / 255, 255, -3), (0.1, 100, -1)):
         setup = DriveSetup(max(10.0, 4.0 / rate_Hz), Reaction.BRAKE, rate_Hz)
@@ -102,7 +102,7 @@ def test_plan_depends_on_rate_velocity_counts_and_reaction():
         (float("nan"), 1e5, "0x1016"), (0.0159, 250.0, "4 periods"), (4.0 * (1 - 1.5e-9), 1.0, "4 periods"),
     ],
 )  # fmt: skip
-def test_watchdog_is_at_least_four_periods_and_fits_into_16_bits(watchdog_s, rate_Hz, found):
+def test_watchdog_shorter_than_four_periods_or_beyond_16_bits_of_ms_is_refused(watchdog_s, rate_Hz, found):
     setup = DriveSetup(watchdog_s, Reaction.DAMP, rate_Hz)
     if isinstance(found, str):
         with pytest.raises(ProtocolError, match=found):
@@ -111,7 +111,7 @@ def test_watchdog_is_at_least_four_periods_and_fits_into_16_bits(watchdog_s, rat
     assert watchdog_ms(setup) == found
 
 
-def test_max_torque_is_that_of_the_weakest_leg_within_16_bits():
+def test_written_max_torque_gives_the_weakest_leg_the_force_limit_and_saturates_at_16_bits():
     assert max_torque(1000.0, [2.0, -1.0, 4.0]) == 1000
     assert max_torque(1000.5, [2.0, 1.0]) == 1001
     assert max_torque(1000.0 * (1 + 0.5e-12), [1.0]) == 1000
@@ -161,7 +161,7 @@ def of(end: ends.Cia402End, name: str) -> list[int]:
     return found
 
 
-def test_drives_that_are_done_or_waiting_or_powered_get_no_request():
+def test_set_up_request_is_not_sent_to_drives_that_are_complete_awaiting_an_answer_or_powered():
     waits: dict[str, Any] = {"at": (DONE, 0, 0, 0, 0, DONE), "asked": (-1, 95, 88, 87, -1, -1)}
     states = [OFF, OFF, OFF, OFF, READY, OFF]
     assert asked(sent(begun(**waits), drive_state=states)) == [2, 3]
@@ -171,13 +171,13 @@ def test_drives_that_are_done_or_waiting_or_powered_get_no_request():
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(250.0, 12), (100.0, 6), (150.0, 8), (1000.0, 50)])
-def test_patience_is_50_ms_but_at_least_six_ticks(rate_Hz, ticks):
+def test_unanswered_set_up_request_is_repeated_after_50_ms_but_at_least_six_periods(rate_Hz, ticks):
     for since, again in ((ticks - 1, False), (ticks, True)):
         assert bool(sent(begun(setup=SETUP._replace(rate_Hz=rate_Hz), asked=100 - since))) == again
 
 
 @pytest.mark.parametrize(("tries", "at", "first"), [(19, 1, False), (20, 1, True), (20, 0, False)])
-def test_dialogue_starts_again_after_twenty_unanswered_requests(tries, at, first):
+def test_set_up_of_a_drive_starts_again_after_twenty_unanswered_requests(tries, at, first):
     mine = (A[0]._replace(key=o.REVISION), *A[1:])
     end = begun((A, A, mine, A, A, A), at=(3, 3, at, 3, 3, 3), tries=(0, 0, tries, 0, 0, 0))
     assert sent(end) == (Frame(0x60C, mine[0 if first or at == 0 else 1].request(12)),)
@@ -186,7 +186,7 @@ def test_dialogue_starts_again_after_twenty_unanswered_requests(tries, at, first
     assert of(end, "asked") == [-1, -1, 100, -1, -1, -1]
 
 
-def test_nmt_command_needs_no_answer_and_a_start_waits_for_a_tpdo():
+def test_nmt_command_in_set_up_needs_no_answer_but_nmt_start_waits_for_a_tpdo():
     prepare = (Step("nmt", o.DEVICE_TYPE, o.PRE_OPERATIONAL), A[1])
     end = begun((A, A, prepare, A, A, A), at=(3, 3, 0, 3, 3, 3))
     assert sent(end) == (Frame(0, b"\x80\x0c"),)
@@ -196,7 +196,7 @@ def test_nmt_command_needs_no_answer_and_a_start_waits_for_a_tpdo():
     assert [of(end, name)[2] for name in ("at", "asked", "tries")] == [2, 100, 1]
 
 
-def test_drive_in_fault_without_a_known_code_is_asked_for_it():
+def test_drive_in_fault_with_unknown_error_code_gets_a_request_for_the_code():
     states, codes = [FAULT, OFF, FAULT, FAULT, RUN, FAULT], [1, 0, 0, 0x7300, 0, 0]
     end = begun(at=DONE)
     frames = sent(end, drive_state=states, drive_fault=codes)
@@ -223,7 +223,7 @@ def test_drive_in_fault_without_a_known_code_is_asked_for_it():
         (0x40, None), (0x41, None), (0x44, None), (0x49, None), (0x4D, None), (0x80, None), (0x60, None),
     ],
 )  # fmt: skip
-def test_answer_has_the_bytes_of_its_size_field_or_four(head, value):
+def test_sdo_answer_has_as_many_bytes_as_its_size_field_or_four(head, value):
     data = bytes.fromhex(f"{head:02x}64601278563412")
     assert o.read_value(data) == (None if value is None else ((0x6064, 0x12), value))
     assert o.read_value(data[:7]) is None
@@ -253,7 +253,7 @@ def same(end: ends.Cia402End, other: ends.Cia402End) -> bool:
     return all(of(end, name) == of(other, name) for name in ("at", "asked", "tries", "refused"))
 
 
-def test_answer_to_another_request_changes_nothing_or_is_rejected():
+def test_sdo_answer_to_another_request_does_not_advance_the_set_up():
     others = (0, WROTE), (1, read(7)), (1, read(10, 0x6060)), (0, read(7, 0x1001)), (2, read(1)), (3, read(7))
     for leg_at, data in (*others, (2, read(1, 0x000C))):
         end = at(leg_at)
@@ -270,7 +270,7 @@ def test_answer_to_another_request_changes_nothing_or_is_rejected():
     ("head", "value"),
     [(0x43, 0x12345678), (0x47, 0x345678), (0x4B, 0x5678), (0x4F, 0x78), (0x4E, 0x12345678)],
 )
-def test_drive_in_fault_reports_its_error_code_if_it_is_unknown(head, value):
+def test_error_code_read_from_a_drive_in_fault_becomes_its_fault_if_none_is_known(head, value):
     data = bytes((head, 0x3F, 0x60, 0)) + bytes.fromhex("78563412")
     assert answered(begun(at=DONE), data)["rejected"] == 0
     found = answered(begun(at=DONE), data, drive_state=FAULT)
@@ -282,7 +282,7 @@ def test_drive_in_fault_reports_its_error_code_if_it_is_unknown(head, value):
         assert not answered(begun(at=DONE), bytes.fromhex(other), drive_state=FAULT)["drive_fault"].any()
 
 
-def test_refusal_is_reported_until_set_up_and_retried_after_a_patience():
+def test_refused_set_up_request_is_reported_until_success_and_repeated_after_the_timeout():
     end = at(1)
     answered(end, bytes.fromhex("8060600030000906"))
     assert (of(end, "at"), of(end, "asked"), of(end, "tries")[2]) == ([0] * 6, [9, 9, 100, 9, 9, 9], 0)
@@ -301,7 +301,7 @@ def test_refusal_is_reported_until_set_up_and_retried_after_a_patience():
 
 @pytest.mark.parametrize(("code", "passes"), [(0x06020000, True), (0x06090011, True), (0x06090030, False)])
 @pytest.mark.parametrize("optional", [False, True])
-def test_missing_object_is_skipped_if_it_is_optional(code, passes, optional):
+def test_missing_optional_object_is_skipped_in_the_set_up(code, passes, optional):
     end = at(0, ((A[0]._replace(optional=optional), A[1]),) * 6)
     answered(end, bytes.fromhex("80001000") + code.to_bytes(4, "little"))
     found = of(end, "at")[2], "refused" in end.lacks()[2]

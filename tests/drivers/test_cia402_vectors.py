@@ -56,7 +56,7 @@ def decoded(frames, protocol=P):
     return m
 
 
-def test_set_up_sync_and_heartbeat_have_the_bytes_of_canopen():
+def test_set_up_sync_and_heartbeat_frames_equal_those_of_the_python_package_canopen():
     steps = plan(5, SETUP, P)
     sent = [Frame(0x605, step.request(5)) for step in steps if step.kind == "write"]
     for pdo in ("remap RPDO1", "remap TPDO1"):
@@ -70,7 +70,7 @@ def test_set_up_sync_and_heartbeat_have_the_bytes_of_canopen():
     assert commanded[-1] == Frame(0x700 + 127, frame(vectors("heartbeat OPERATIONAL")[0]).data)
 
 
-def test_sdo_frames_agree_with_canopen():
+def test_sdo_frames_agree_with_the_python_package_canopen():
     for v in vectors("SDO request: download"):
         size = {"u16": 2, "i16": 2, "i8": 1, "i32": 4}[v["inputs"]["type"]]
         assert o.download(place_of(v), v["inputs"]["value"], size) == frame(v).data, v["what"]
@@ -86,7 +86,7 @@ def test_sdo_frames_agree_with_canopen():
 
 
 @each("statusword decoded")
-def test_statusword_gives_the_state_that_canopen_reads(v):
+def test_statusword_is_decoded_to_the_same_state_as_by_the_python_package_canopen(v):
     name = v["decoded"]["state"].replace("OPERATION ENABLED", "ENABLED").replace(" ", "_")
     name = name.removesuffix("_ACTIVE")
     assert STATE_OF[v["inputs"]["statusword"] & 0x7F] == (-1 if name == "UNKNOWN" else State[name])
@@ -103,7 +103,7 @@ def test_statusword_gives_the_state_that_canopen_reads(v):
         ("FAULT", "RUN", "disable_voltage"), ("FAULT", "RESET", "fault_reset"),
     ],
 )  # fmt: skip
-def test_controlword_agrees_with_the_table_of_canopen(state, mode, word):
+def test_controlword_agrees_with_the_table_of_the_python_package_canopen(state, mode, word):
     known = STATE_OF[int(DATA["tables"]["statusword_masks"][state]["value"], 16)]
     assert (
         controlword(DriveMode[mode], known, edge=True, stopped=False) == DATA["tables"]["controlwords"][word]
@@ -111,7 +111,7 @@ def test_controlword_agrees_with_the_table_of_canopen(state, mode, word):
 
 
 @each("TPDO1 statusword")
-def test_tpdo_of_node_5_gives_length_force_and_state(v):
+def test_tpdos_of_node_5_are_decoded_to_length_force_and_state_of_its_leg(v):
     m, said = decoded([frame(v)], ByValue(drives(NODES, velocity=False))), v["inputs"]
     assert m["age"].tolist() == [NEVER] * 4 + [0, NEVER]
     assert m["length"][LEG] == pytest.approx(0.75 + SCREW_m * said["position_counts"] / COUNTS, abs=1e-9)
@@ -120,7 +120,7 @@ def test_tpdo_of_node_5_gives_length_force_and_state(v):
     assert m["drive_state"][LEG] == states[said["statusword"]]
 
 
-def test_emcy_and_boot_up_have_the_bytes_of_canopen():
+def test_emcy_and_boot_up_frames_equal_those_of_the_python_package_canopen():
     _, booted = P.report(P.power_up(), Status(LEG, DriveState.BOOT, 0))
     assert booted == (frame(vectors("heartbeat INITIALISING")[0]),)
     memory = changed(RUNNING, LEG, {o.PRODUCER_HEARTBEAT: 0})
@@ -131,11 +131,11 @@ def test_emcy_and_boot_up_have_the_bytes_of_canopen():
 
 
 @each("EMCY")
-def test_emcy_code_is_the_fault_of_the_drive(v):
+def test_emcy_error_code_becomes_the_fault_code_of_its_drive(v):
     assert decoded([frame(v)])["drive_fault"].tolist() == [0] * 4 + [v["inputs"]["error_code"], 0]
 
 
-def test_force_just_beyond_the_field_is_refused():
+def test_force_command_just_beyond_the_range_of_the_torque_field_is_refused():
     fits = np.array([0, 32767.4 * PERMILLE_N, 0, 0, 0, 0])
     P.command(P.start(SETUP), Command(DriveMode.RUN, fits), 0)
     with pytest.raises(ProtocolError, match="0x6071"):

@@ -21,7 +21,7 @@ def foreground():
     signal.signal(signal.SIGINT, before)
 
 
-def test_ctrl_c_takes_effect_after_the_kernel_is_compiled(monkeypatch):
+def test_ctrl_c_during_the_compilation_of_a_kernel_takes_effect_after_it(monkeypatch):
     compiled = []
 
     class Made:

@@ -40,13 +40,13 @@ def test_crc8_has_its_published_values(data, expected):
 
 
 @given(st.binary(min_size=2, max_size=66))
-def test_both_checks_agree_with_bitwise_division(data):
+def test_crc8_and_crc16_agree_with_bitwise_polynomial_division(data):
     assert crc8(data) == bitwise_crc(data, 8)
     assert crc16(data) == bitwise_crc(data, 16)
 
 
 @given(st.binary(min_size=2, max_size=65), st.data())
-def test_every_burst_of_up_to_eight_bits_changes_the_check(data, draw):
+def test_every_error_burst_of_up_to_eight_bits_changes_the_crc(data, draw):
     at = draw.draw(st.integers(0, 8 * len(data) - 1))
     burst = draw.draw(st.integers(0, 127)) * 2 + 1
     damaged = int.from_bytes(data, "big") ^ (burst << at)
@@ -79,15 +79,15 @@ def hamming_distance(polynomial: int, width: int, bits: int) -> int:
     return 4 if len(set(two)) < len(two) else 5
 
 
-def test_check_of_the_fd_command_detects_any_four_wrong_bits():
+def test_crc_of_the_can_fd_command_frame_detects_any_four_wrong_bits():
     code = 16 + 8 * 26 + 16  # identifier, forces with counter and mode, check
     assert hamming_distance(0x5935, 16, code) == 5
     assert hamming_distance(0x5935, 16, 241 + 16) == 5, "the length of Koopman's table"
     assert hamming_distance(0x5935, 16, 242 + 16) < 5
     assert hamming_distance(0x1021, 16, code) == 4, "CCITT's"
-    assert hamming_distance(0x1D, 8, 16 + 8 * 31 + 8) == 2, "the CRC-8 that it replaces"
+    assert hamming_distance(0x1D, 8, 16 + 8 * 31 + 8) == 2, "the CRC-8 that the CRC-16 replaces"
 
 
 @pytest.mark.parametrize("size", [2, 5, 8, 12])
-def test_crc8_of_the_short_frames_detects_any_two_wrong_bits(size):
+def test_crc8_of_short_frames_detects_any_two_wrong_bits(size):
     assert hamming_distance(0x1D, 8, 16 + 8 * size) == 3

@@ -64,20 +64,20 @@ def test_dbc_loads_in_strict_cantools_without_a_warning(caplog, of, name, messag
     assert (file, len(database.messages)) == (name, messages)
 
 
-def test_sensors_and_drives_have_the_same_sync():
+def test_sync_frame_is_equal_in_the_dbc_files_of_sensors_and_drives():
     ours, theirs = (database.get_message_by_name("SYNC") for database in DATABASES)
     assert (ours.frame_id, ours.length) == (theirs.frame_id, theirs.length)
     values = {"Cycle": 0xA7, "CRC": 0xC3}
     assert ours.encode(values) == theirs.encode(values)
 
 
-def test_identifiers_are_in_order_of_urgency():
+def test_dbc_identifiers_give_urgent_messages_higher_bus_priority():
     order = ("ESTOP", "SYNC", "COMMAND", "FEEDBACK", "TRACKER", "IMU", "WRENCH", "CONFIG", "STATUS")
     kinds = [m.name.split("_")[0] for m in sorted(ALL_MESSAGES, key=lambda m: m.frame_id)]
     assert list(dict.fromkeys(kinds)) == list(order)
 
 
-def test_every_quantity_has_a_unit_and_a_range():
+def test_every_physical_signal_of_the_dbc_has_a_unit_and_a_range():
     units = {"Force": "N", "Length": "m", "Rate": "m/s", "Watchdog": "s", "Offset": "s"}
     units |= {f"TRACKER{axis}": "m" for axis in "XYZ"} | {f"TRACKERR{axis}": "rad" for axis in "XYZ"}
     units |= {f"IMUW{axis}": "rad/s" for axis in "XYZ"} | {f"IMUF{axis}": "m/s^2" for axis in "XYZ"}
@@ -101,7 +101,7 @@ def test_drive_enumerations_have_the_names_of_the_dbc():
     assert names("CONFIG_1", "Reaction") == {int(r): r.name for r in Reaction}
 
 
-def test_messages_have_their_fd_attributes_and_cycle_times():
+def test_dbc_messages_have_can_fd_attributes_and_cycle_times():
     sensors = {"TRACKER_7": 5, "IMU_8": 2, "WRENCH_9": 1}
     for message in ALL_MESSAGES:
         fd = message.name.startswith(("COMMAND_FD", "COMMAND_IDEAL", "FEEDBACK_FD", "FEEDBACK_IDEAL"))
@@ -125,7 +125,7 @@ def test_feedback_with_any_single_flipped_bit_is_refused(layout):
 
 
 @all_layouts
-def test_a_feedback_of_wrong_length_node_or_state_is_refused(layout):
+def test_feedback_frame_of_wrong_length_node_or_state_is_refused(layout):
     good, at = feedback(layout, 5), {"classic": 6, "fd": 10, "ideal": 24}[layout]
     wrong = [good._replace(data=data) for data in (good.data[:-1], good.data + b"\0", b"")]
     wrong += [good._replace(id=good.id + 1)]
@@ -139,13 +139,13 @@ def test_a_feedback_of_wrong_length_node_or_state_is_refused(layout):
 @pytest.mark.parametrize(
     "word", ["000000000000F07F", "000000000000F8FF", "000000000000F0FF", "9C7500883CE4377E"]
 )
-def test_float_that_is_not_finite_or_out_of_range_is_refused(at, word):
+def test_feedback_value_that_is_not_finite_or_out_of_range_is_refused(at, word):
     measurement = decode(P["ideal"], received(resealed(feedback("ideal", 5), at, bytes.fromhex(word))), 5)
     assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
 
 
 @pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0", b"\1\0\0\0", b"\5\0\0\0", b"\1\6\0\0"])
-def test_status_that_is_short_damaged_or_of_unknown_state_is_refused(data):
+def test_status_frame_that_is_short_damaged_or_of_unknown_state_is_refused(data):
     seals = [0x5A, bitwise_crc(b"\x01\x07" + data, 8)]
     for seal in seals[:1] if data == b"\1\0\0\0" else seals:  # with a correct CRC this one is valid
         measurement = decode(P["fd"], received(Frame(0x701, data + bytes([seal]))), 5)
@@ -165,7 +165,7 @@ def test_drives_refuse_a_command_with_any_single_flipped_bit(layout):
 
 
 @all_layouts
-def test_drives_refuse_an_unknown_mode(layout):
+def test_drives_refuse_a_command_with_an_unknown_mode(layout):
     at, unknown, known = {"classic": (5, 0x80, 0x60), "fd": (25, 4, 3), "ideal": (48, 0x45, 0x35)}[layout]
     for frame in command_frames(P[layout], Command(DriveMode.RUN, np.zeros(6)), 5):
         assert isinstance(parse(P[layout], resealed(frame, at, bytes([unknown]))), Rejected)
@@ -178,7 +178,7 @@ def test_drives_refuse_a_command_that_is_not_finite():
 
 
 @pytest.mark.parametrize(("at", "byte"), [(4, 4), (5, 1), (5, 7), (0, 0), (6, 1), (6, 3)])
-def test_drives_refuse_an_invalid_config(at, byte):
+def test_drives_refuse_an_invalid_config_frame(at, byte):
     frame = P["fd"].configure(0.000_255, Reaction.HOLD)[3]  # 255 us: only byte 0 of the watchdog is used
     assert isinstance(parse(P["fd"], resealed(frame, at, bytes([byte]))), Rejected)
     assert isinstance(parse(P["fd"], damaged(frame, 3)), Rejected)
@@ -201,7 +201,7 @@ COUNTS = {"classic": 255, "fd": 255, "ideal": 15}
     tick=st.integers(0, 1 << 40),
     leg=st.integers(0, 5),
 )
-def test_feedback_survives_a_round_trip_and_agrees_with_cantools(
+def test_encoded_feedback_is_decoded_equally_by_the_controller_and_by_cantools(
     layout, length, rate, force, state, tick, leg
 ):
     frame = one_feedback(P[layout], leg, length, rate, force, state, tick & 15)
@@ -232,7 +232,7 @@ def test_feedback_survives_a_round_trip_and_agrees_with_cantools(
     mode=st.sampled_from(DriveMode),
     tick=st.integers(0, 1 << 40),
 )
-def test_command_survives_a_round_trip_and_agrees_with_cantools(layout, force, mode, tick):
+def test_encoded_command_is_decoded_equally_by_the_drives_and_by_cantools(layout, force, mode, tick):
     frames = command_frames(P[layout], Command(mode, np.array(force)), tick)
     back: dict[int, float] = {}
     for frame in frames:

@@ -393,7 +393,7 @@ def row_of(name: str, v: Vector) -> str:
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_each_vector_has_the_result_of_its_row_and_every_row_is_used(name):
+def test_each_frame_vector_of_other_libraries_is_coded_as_its_table_row_states_and_no_row_is_unused(name):
     rows = [(row_of(name, v), v) for v in DATA[name]["vectors"]]
     assert {row for row, _ in rows} == set(EXPECTED[name])
     wrong = [f"{row}: {v['what']} {v['inputs']}" for row, v in rows if not fits(name, v, EXPECTED[name][row])]

@@ -35,7 +35,7 @@ def says(text: str, name: str) -> bool:
 @pytest.mark.parametrize(
     ("family", "table"), [("moteus", FAULTS), ("odrive", ERRORS), ("robstride", ROBSTRIDE_FAULTS)]
 )
-def test_every_fault_text_has_the_words_of_the_makers_name(family, table):
+def test_every_fault_text_contains_the_words_of_the_manufacturers_fault_name(family, table):
     names = {int(code): [said] if isinstance(said, str) else said for code, said in SAID[family].items()}
     assert sorted(table) == sorted(names)
     assert [
@@ -59,7 +59,7 @@ def test_every_fault_text_has_the_words_of_the_makers_name(family, table):
         ),
     ],
 )
-def test_texts_of_cubemars_and_damiao_follow_their_manuals_in_order(table, names):
+def test_fault_texts_of_cubemars_and_damiao_drives_follow_the_order_of_their_manuals(table, names):
     assert sorted(table) == list(range(1, len(names) + 1))
     assert all(says(table[code], name) for code, name in enumerate(names, start=1)), table
 
@@ -82,6 +82,6 @@ EMCY = {
 """Words required for codes of CiA 301, table 26, and CiA 402-2, and for one code of each class."""
 
 
-def test_texts_of_canopen_have_the_words_of_each_code_and_class():
+def test_canopen_fault_texts_contain_the_words_of_each_error_code_and_class():
     assert meaning(0x00EE) == meaning(0xEFEE) == "unknown"
     assert {code: meaning(code) for code, said in EMCY.items() if said not in meaning(code)} == {}

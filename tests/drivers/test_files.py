@@ -12,7 +12,7 @@ from drivers.files import own_folder, read_regular, whole_file
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have no owner here")
 
 
-def test_a_full_disk_leaves_the_earlier_file(tmp_path):
+def test_file_replacement_on_a_full_disk_leaves_the_earlier_file(tmp_path):
     path = tmp_path / "picture.png"
     path.write_text("earlier")
 
@@ -28,7 +28,7 @@ def test_a_full_disk_leaves_the_earlier_file(tmp_path):
 
 
 @pytest.mark.parametrize("mode", [0o600, 0o664])
-def test_new_file_has_the_permissions_of_the_earlier_one(tmp_path, mode):
+def test_replacing_a_file_keeps_its_permissions(tmp_path, mode):
     path = tmp_path / "run.yaml"
     path.write_text("earlier")
     path.chmod(mode)
@@ -37,7 +37,7 @@ def test_new_file_has_the_permissions_of_the_earlier_one(tmp_path, mode):
     assert (path.read_text(), path.stat().st_mode & 0o777) == ("later", mode)
 
 
-def test_the_target_of_a_link_is_replaced(tmp_path):
+def test_replacing_a_symbolic_link_replaces_its_target(tmp_path):
     target, link = tmp_path / "there" / "run.yaml", tmp_path / "run.yaml"
     target.parent.mkdir()
     target.write_text("earlier")
@@ -60,7 +60,7 @@ def test_a_pipe_and_a_file_beyond_the_limit_are_not_read(tmp_path):
             read_regular(path, most)
 
 
-def test_folder_open_to_other_users_is_refused(tmp_path):
+def test_runtime_folder_with_permissions_for_other_users_is_refused(tmp_path):
     folder = own_folder(tmp_path / "a" / "b")
     assert [path.stat().st_mode & 0o777 for path in (folder.parent, folder)] == [0o700, 0o700]
     folder.chmod(0o750)

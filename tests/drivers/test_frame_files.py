@@ -32,7 +32,7 @@ def written(kind: str, path: Path, *channels: str) -> None:
     writer.close()
 
 
-def test_candump_has_time_channel_identifier_and_data(tmp_path):
+def test_candump_export_has_time_channel_identifier_and_data(tmp_path):
     written("candump", tmp_path / "a.log", "can 0/x", "")
     assert (tmp_path / "a.log").read_text("ascii").splitlines() == [
         "(1700000000.123457) can_0_x 080#A7C3",
@@ -46,7 +46,7 @@ def test_candump_has_time_channel_identifier_and_data(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["asc", "blf"])
-def test_python_can_reads_the_frames_of_asc_and_blf(tmp_path, kind):
+def test_python_can_reads_the_frames_of_asc_and_blf_exports(tmp_path, kind):
     written(kind, tmp_path / f"a.{kind}", "a")
     reader: Any = {"asc": can.ASCReader, "blf": can.BLFReader}[kind](tmp_path / f"a.{kind}")
     for k, (message, frame) in enumerate(zip(reader, FRAMES, strict=True)):

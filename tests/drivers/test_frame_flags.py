@@ -41,26 +41,26 @@ KINDS = [0, EXTENDED, REMOTE, EXTENDED | REMOTE, FD, FD | BRS, FD | ESI, FD | BR
         (Frame(0x123, b"\xff" * 64, FD | BRS | ESI | EXTENDED), "23010080 40030000" + "ff" * 64),
     ],
 )
-def test_frames_of_socketcan_have_the_bytes_of_the_kernel(frame, raw):
+def test_socketcan_frames_have_the_byte_layout_of_the_linux_kernel(frame, raw):
     assert pack(*frame) == bytes.fromhex(raw)
     assert unpack(bytes.fromhex(raw)) == frame
 
 
 @little_endian
-def test_error_frame_of_the_kernel_keeps_its_classes():
+def test_error_frame_read_from_socketcan_keeps_its_error_classes():
     # CAN_ERR_FLAG | CAN_ERR_BUSOFF, and all 29 bits of classes
     assert unpack(bytes.fromhex("40000020 08000000 0000000000000000")) == Frame(0x40, bytes(8), ERROR)
     assert unpack(bytes.fromhex("ffffff3f 08000000 0000000000000000")) == Frame(0x1FFFFFFF, bytes(8), ERROR)
 
 
 @pytest.mark.parametrize(("size", "flags"), [(9, 0), (65, FD)])
-def test_data_too_long_for_a_frame_of_the_kernel_is_refused(size, flags):
+def test_data_too_long_for_a_socketcan_frame_is_refused(size, flags):
     with pytest.raises(BusError, match=f"{size} bytes"):
         pack(*Frame(0x7FF, bytes(size), flags))
 
 
 @pytest.mark.parametrize("flags", KINDS)
-def test_a_message_of_python_can_has_the_kind_of_its_frame(flags):
+def test_python_can_message_keeps_the_kind_of_frame_classic_fd_remote_or_error(flags):
     frame = Frame(0x123, b"" if flags & REMOTE else b"\x11\x22", flags)
     (unpacked,) = unpack_frames(received_array([Received(2_000_000_000, frame)]).tobytes())
     message = to_message(unpacked, 500_000_000, "c")

@@ -18,7 +18,7 @@ EXTENDED_IDS = [
 
 
 @pytest.mark.parametrize("name", sorted(FAMILIES))
-def test_any_frame_addresses_known_legs_and_has_a_known_sender(name):
+def test_every_frame_is_attributed_to_valid_legs_and_a_known_sender(name):
     c = family(name)
     protocol = build_protocol(c.bus, c.drives)
     kinds = [(identifier, 0) for identifier in range(0x800)] + [(each, EXTENDED) for each in EXTENDED_IDS]
@@ -32,11 +32,13 @@ def test_any_frame_addresses_known_legs_and_has_a_known_sender(name):
     for frame in feedback:
         found = protocol.sender(frame._replace(data=frame.data[:3]))
         shared = len({each.id for each in feedback}) < LEGS
-        assert found == protocol.sender(frame) or (shared and found >= 0), "short, but from the same drive"
+        assert found == protocol.sender(frame) or (shared and found >= 0), (
+            "a truncated frame is from the same drive"
+        )
 
 
 @pytest.mark.parametrize("bits", [32, 48, 64, 96])
-def test_all_zeros_and_all_ones_are_no_serial_numbers(bits):
+def test_serial_number_of_all_zeros_or_all_ones_counts_as_unknown(bits):
     ones = (1 << bits) - 1
     found = [Said(2, SERIAL, value).tells for value in (0, ones, 1, ones - 1, 1 << bits)]
     assert found == [False, False, True, True, True]

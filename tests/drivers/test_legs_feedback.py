@@ -61,7 +61,7 @@ def taken(
 
 
 @layouts
-def test_a_tick_without_frames_keeps_the_measurement_and_counts_nothing(layout):
+def test_period_without_frames_keeps_the_last_measurement_and_counts_no_error(layout):
     before = last_tick(10, [0, 2, 5, NEVER, NEVER - 2, 1])
     tick = taken(layout, last=before)
     for name in KEPT:
@@ -75,7 +75,7 @@ def test_a_tick_without_frames_keeps_the_measurement_and_counts_nothing(layout):
 
 @layouts
 @legs
-def test_a_feedback_measures_its_leg_and_no_other(layout, leg):
+def test_feedback_frame_updates_the_measurement_of_its_leg_only(layout, leg):
     tick, before = taken(layout, sent(layout)[leg]), last_tick(age=1)
     measured = {"length": LENGTH, "rate": RATE, "drive_state": RUN, "age": 0 * RUN}
     measured |= {"drive_force": FORCE} if layout != "classic" else {}
@@ -91,14 +91,14 @@ def test_a_feedback_measures_its_leg_and_no_other(layout, leg):
 @pytest.mark.parametrize(
     ("behind", "age", "rejected"), [(0, 0, 0), (1, 1, 0), (8, 8, 0), (9, 21, 1), (15, 21, 1)]
 )
-def test_late_feedback_has_its_age_and_one_from_the_future_is_refused(layout, behind, age, rejected):
+def test_late_feedback_has_the_age_of_its_sync_and_future_feedback_is_refused(layout, behind, age, rejected):
     tick = taken(layout, sent(layout, NUMBER - behind)[4], last=last_tick(12, 20))
     assert (int(tick["age"][4]), int(tick["rejected"])) == (age, rejected)
     assert tick["age"].tolist()[:4] == [21] * 4
 
 
 @layouts
-def test_feedback_received_before_the_tick_does_not_answer_its_sync(layout):
+def test_feedback_received_before_the_control_period_does_not_count_as_answer_to_its_sync(layout):
     for t_ns, counter, age, rejected in (
         (SINCE_NS - 1, 13, 4, 1),
         (SINCE_NS, 13, 0, 0),
@@ -112,7 +112,7 @@ def test_feedback_received_before_the_tick_does_not_answer_its_sync(layout):
 
 
 @layouts
-def test_late_feedback_counts_if_it_is_newer_than_the_one_held(layout):
+def test_late_feedback_is_used_if_it_is_newer_than_the_last_received(layout):
     for held, there in ((2, False), (3, True)):
         tick = taken(layout, sent(layout, NUMBER - 3)[4], last=last_tick(12, held))
         assert tick["length"][4] == pytest.approx(LENGTH[4] if there else 2.5)
@@ -122,7 +122,7 @@ def test_late_feedback_counts_if_it_is_newer_than_the_one_held(layout):
 
 @layouts
 @legs
-def test_invalid_length_makes_its_leg_blind_and_not_fresh(layout, leg):
+def test_feedback_with_invalid_length_marks_its_leg_as_unmeasured_and_increases_its_age(layout, leg):
     states = RUN.copy()
     states[leg] = DriveState.FAULT | INVALID
     tick = taken(layout, *sent(layout, state=states), last=last_tick(12, 5))
@@ -138,7 +138,7 @@ def test_invalid_length_makes_its_leg_blind_and_not_fresh(layout, leg):
 
 @layouts
 @legs
-def test_second_answer_with_other_content_marks_a_doubled_node(layout, leg):
+def test_second_answer_with_different_content_marks_a_duplicate_node(layout, leg):
     good = sent(layout)
     others = [
         sent(layout, length=LENGTH + 0.01),
@@ -164,7 +164,7 @@ def test_second_answer_with_other_content_marks_a_doubled_node(layout, leg):
 
 @layouts
 @legs
-def test_after_a_blind_answer_an_earlier_one_does_not_count_as_second(layout, leg):
+def test_late_answer_after_one_with_invalid_length_does_not_mark_a_duplicate_node(layout, leg):
     blind, late = sent(layout, state=RUN | INVALID)[leg], sent(layout, NUMBER - 1)[leg]
     tick = taken(layout, blind, late, last=last_tick(12, 5))
     assert (int(tick["doubled"]), int(tick["age"][leg])) == (0, 1)
@@ -205,7 +205,7 @@ BEFORE: list[list[int] | None] = [[n] for n in range(20)]
 
 @layouts
 @pytest.mark.parametrize("late", [1, 2, 5, 12, 16, 17, 20, 32, 45])
-def test_late_answers_double_no_node_and_have_the_age_of_their_sync(layout, late):
+def test_late_answers_do_not_mark_a_duplicate_node_and_have_the_age_of_their_sync(layout, late):
     back = 20 + late
     silent, burst = [*BEFORE, *[list[int]()] * late], list(range(20, back + 1))
     after = [[n] for n in range(back + 1, back + 20)]
@@ -226,7 +226,7 @@ def test_late_answers_double_no_node_and_have_the_age_of_their_sync(layout, late
 
 @layouts
 @pytest.mark.parametrize("pause", [8, 16, 20])
-def test_late_answers_of_a_drive_that_pauses_again_are_not_taken_as_of_this_tick(layout, pause):
+def test_late_answers_of_a_drive_that_pauses_again_do_not_count_as_fresh(layout, pause):
     silent = [*BEFORE, *[list[int]()] * 20]
     paused = [[20], [21], [22], *[list[int]()] * pause, *([n] for n in range(23, 40))]
     found, ages, right = follow(layout, [*silent, *paused])
@@ -236,7 +236,7 @@ def test_late_answers_of_a_drive_that_pauses_again_are_not_taken_as_of_this_tick
 
 
 @layouts
-def test_answer_that_waits_while_the_controller_stalls_for_16_ticks_is_not_of_this_tick(layout):
+def test_answer_queued_during_a_controller_stall_of_16_periods_does_not_count_as_fresh(layout):
     for early in (-1, 35):
         stalled = [*BEFORE[:19], [], *[None] * 15, [19, 35], [36]]
         found, ages, right = follow(layout, stalled, early=early)
@@ -246,20 +246,22 @@ def test_answer_that_waits_while_the_controller_stalls_for_16_ticks_is_not_of_th
 
 
 @layouts
-def test_second_node_is_found_within_two_ticks_whatever_was_lost_before(layout):
+def test_duplicate_node_is_detected_within_two_periods_however_many_answers_were_lost_before(layout):
     for lost in (0, 1, 8, 16, 20, 33, 100, 300):
         back = 20 + lost
         twice = [[n, -n] for n in range(back, back + 20)]
         first = back + min(lost // 16, 2)
         assert follow(layout, [*BEFORE, *[list[int]()] * lost, *twice])[0] == list(range(first, back + 20))
     late = [[n - 1, 1 - n] for n in range(21, 40)]
-    assert follow(layout, [*BEFORE, [], *late])[0] == list(range(21, 40)), "always late"
+    assert follow(layout, [*BEFORE, [], *late])[0] == list(range(21, 40)), (
+        "two nodes whose answers are always one period late"
+    )
     start = [[], *([n, -n] for n in range(1, 9))]
     assert follow(layout, start, confirmed=0)[0] == list(range(1, 9)), "at start"
 
 
 @layouts
-def test_drive_that_returns_after_16_silent_ticks_counts_8_ticks_later(layout):
+def test_feedback_of_a_drive_that_was_silent_for_16_periods_counts_8_periods_after_its_return(layout):
     for lost in (16, 20, 33, 100):
         back = 20 + lost
         found, ages, right = follow(
@@ -270,7 +272,7 @@ def test_drive_that_returns_after_16_silent_ticks_counts_8_ticks_later(layout):
     assert follow(layout, [[], *([n] for n in range(1, 9))], confirmed=0)[1][1:] == [0] * 8
 
 
-def test_controller_frames_are_foreign_by_their_kind_in_any_layout():
+def test_received_controller_frames_count_as_foreign_by_kind_in_any_bus_layout():
     zeros = Command(DriveMode.OFF, np.zeros(6))
     commands = [f for p in P.values() for f in command_frames(p, zeros, 0)]
     assert len(commands) == 4
@@ -290,7 +292,7 @@ def test_controller_frames_are_foreign_by_their_kind_in_any_layout():
 
 @layouts
 @legs
-def test_status_gives_the_fault_of_its_drive_and_a_different_set_up(layout, leg):
+def test_status_frame_reports_the_fault_of_its_drive_and_a_changed_set_up(layout, leg):
     def status(fault: DriveFault, state: int, **other: Any) -> Frame:
         holds = Configure(leg, 0.0125, Reaction.HOLD)._replace(**other)
         return reports(P[layout], Status(leg, state, fault, holds))[0]
@@ -313,7 +315,7 @@ def test_status_gives_the_fault_of_its_drive_and_a_different_set_up(layout, leg)
 
 @layouts
 @legs
-def test_repeated_answer_is_compared_with_the_one_held(layout, leg):
+def test_repeated_answer_marks_a_duplicate_node_only_if_it_differs_from_the_last_received(layout, leg):
     held = taken(layout, *sent(layout))
     held["tick"], held["age"] = NUMBER - 1, 2
     again = [sent(layout, NUMBER - 3, state=state)[leg] for state in (RUN, RUN + 1)]
@@ -331,7 +333,7 @@ def test_repeated_answer_is_compared_with_the_one_held(layout, leg):
 
 @layouts
 @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 128 * BUS], ids=str)
-def test_frames_of_other_kinds_or_buses_are_ignored(layout, flag):
+def test_frames_of_unknown_kinds_or_other_buses_do_not_change_the_measurement(layout, flag):
     frames = [*sent(layout), *opening(P[layout], 0), *P[layout].traits.emergency_stop]
     tick = taken(layout, *(frame._replace(flags=frame.flags | flag) for frame in frames))
     assert tick["age"].tolist() == [1] * 6

@@ -62,14 +62,14 @@ def begun(**fields: Any) -> Remembered:
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(50.0, 6), (325.0, 6), (330.0, 7), (400.0, 8), (1000.0, 20)])
-def test_each_drive_has_a_turn_every_20_ms_but_at_least_six_ticks_apart(rate_Hz, ticks):
+def test_each_drive_may_get_a_config_frame_every_20_ms_but_at_least_six_periods_apart(rate_Hz, ticks):
     dialogue = V.start(SETUP._replace(rate_Hz=rate_Hz))
     turns = [[f.id - 0x600 for f in V.set_up(dialogue, at(k, state=BOOT))[1]] for k in range(2 * ticks)]
     assert turns == 2 * ([[node] for node in NODES] + [[]] * (ticks - 6))
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_state_age_and_tries_decide_whether_a_drive_gets_a_config(leg):
+def test_drive_state_answer_age_and_number_of_tries_decide_if_a_config_frame_is_sent(leg):
     def sends(state: int, age: int = 0, sent: int = 0, confirmed: int = 0) -> bool:
         states, ages, tries = ([9] * 6 for _ in range(3))
         states[leg], ages[leg], tries[leg] = state, age, sent
@@ -86,7 +86,7 @@ def test_state_age_and_tries_decide_whether_a_drive_gets_a_config(leg):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_status_confirms_or_revokes_the_set_up_of_its_drive(leg):
+def test_status_frame_confirms_or_revokes_the_set_up_of_its_drive(leg):
     mine = 1 << leg
     dialogue = taken(begun(), status(leg))
     assert (dialogue.confirmed, V.legs_set_up(dialogue)) == (mine, (False,) * 6), "we have sent none yet"
@@ -105,7 +105,7 @@ def test_status_confirms_or_revokes_the_set_up_of_its_drive(leg):
         assert after.said[leg] == int.from_bytes(other.data[2:4], "little")
 
 
-def test_only_the_last_intact_status_of_a_drive_counts():
+def test_only_the_last_intact_status_frame_of_a_drive_counts():
     first, second = status(2, watchdog_s=0.02), status(2, watchdog_s=0.03)
     heard = taken(begun(), first, second, status(4, watchdog_s=0.02)).said
     assert heard[2] == int.from_bytes(second.data[2:4], "little")
@@ -116,7 +116,7 @@ def test_only_the_last_intact_status_of_a_drive_counts():
     assert taken(begun(), first, *spoiled).said[2] == int.from_bytes(first.data[2:4], "little")
 
 
-def test_missing_set_up_of_each_drive_follows_from_its_checksum():
+def test_incomplete_set_up_of_each_drive_is_reported_from_its_checksum():
     statuses = {
         0: status(0),
         2: status(2, reaction=Reaction.DAMP),
@@ -135,14 +135,14 @@ def test_missing_set_up_of_each_drive_follows_from_its_checksum():
         assert "not confirmed" in V.set_up_lacks(unheard)[0]
 
 
-def test_drive_with_another_protocol_version_does_not_confirm():
+def test_drive_with_another_protocol_version_does_not_confirm_its_set_up():
     older = LegsProtocol("fd", NODES, 32_000.0)
     older.tables["version"] = 1
     assert "checksum" in V.set_up_lacks(taken(begun(sent=(1,) * 6), status(1, protocol=older)))[1]
 
 
 @pytest.mark.parametrize("watchdog_s", [0.0, 4e-7, 4294.9673, float("nan"), float("inf"), -1.0])
-def test_watchdog_is_from_1_us_to_32_bits_of_us(watchdog_s):
+def test_watchdog_time_that_rounds_to_0_us_or_exceeds_32_bits_of_us_is_refused(watchdog_s):
     with pytest.raises(ProtocolError, match="CONFIG"):
         P.configure(watchdog_s, Reaction.HOLD)
     for fits in (6e-7, 4294.967295):
@@ -154,7 +154,7 @@ def test_watchdog_is_from_1_us_to_32_bits_of_us(watchdog_s):
 
 
 @pytest.mark.parametrize("rated_N", [0.000999, 0.001, 4294967.295, 4294967.296])
-def test_rated_force_must_fit_into_the_checksum(rated_N):
+def test_rated_force_beyond_the_range_of_the_set_up_checksum_is_refused(rated_N):
     if 0.001 <= rated_N <= 4294967.295:
         assert LegsProtocol("fd", NODES, rated_N).rated_force_N == rated_N
         return
@@ -165,7 +165,7 @@ def test_rated_force_must_fit_into_the_checksum(rated_N):
 # what drives refuse
 
 
-def test_drives_refuse_a_short_or_repeated_frame_or_one_of_another_sync():
+def test_drives_refuse_a_short_frame_a_repeated_command_and_a_command_of_another_sync():
     command = command_frames(P, Command(DriveMode.RUN, np.zeros(6)), 7)[0]
     sync = opening(P, 7)[0]
     for frame, present in (
@@ -188,7 +188,7 @@ def test_drives_refuse_a_short_or_repeated_frame_or_one_of_another_sync():
     assert parse(P, placed(1, 2, 6, 4, 5, 3).configure(0.0125, Reaction.HOLD)[2]) == Rejected()
 
 
-def test_another_rated_force_has_another_checksum():
+def test_different_rated_forces_have_different_set_up_checksums():
     frame = P.configure(0.0125, Reaction.HOLD)[2]
     rated_N = (32_000.0, 32_000.001, 31_999.999, 32_000.4, 32_000.5, 32_001.0, 0.001, 0.002)
     assert len({set_up_checksum(frame.id, frame.data[:-1], each) for each in rated_N}) == len(rated_N)

@@ -24,7 +24,7 @@ from tests.drivers.received_frames import CLASSIC_8_BYTES, CRAWL, got, soon
 pytestmark = pytest.mark.usefixtures("runtime")
 
 
-def test_a_frame_takes_its_bit_time_and_its_sender_knows_its_end(join):
+def test_frame_occupies_the_virtual_bus_for_its_bit_time_and_its_sender_gets_the_end_time(join):
     sender, reader = join(CRAWL), join(CRAWL)
     assert (sender.sent_ns(), sender.knows_ends) == ([], True)
     before = time.monotonic_ns()
@@ -39,7 +39,7 @@ def test_a_frame_takes_its_bit_time_and_its_sender_knows_its_end(join):
     assert sender.sent_ns() == [received.t_ns]
 
 
-def test_lowest_identifier_wins_when_the_bus_becomes_free(join):
+def test_lowest_identifier_wins_arbitration_when_the_virtual_bus_becomes_free(join):
     a, b, c = join(CRAWL), join(CRAWL), join(CRAWL)
     # the first frame holds the bus, and the others meet at its end
     a.send(sent_array([Frame(0x700, bytes(8))]))
@@ -53,7 +53,7 @@ def test_lowest_identifier_wins_when_the_bus_becomes_free(join):
     assert heard[3:] == [(0x100 << 18, EXTENDED), (0x200, 0), (0x300, 0)]
 
 
-def test_every_participant_sees_the_same_order_and_times(join):
+def test_every_participant_receives_frames_in_the_same_order_with_the_same_times(join):
     a, b, c = join(), join(own=True), join()
     for i in range(10):
         a.send(sent_array([Frame(0x200 - i, b"a")]))
@@ -65,7 +65,7 @@ def test_every_participant_sees_the_same_order_and_times(join):
     assert sum(bool(r.frame.flags & OWN) for r in seen_by_b) == 10
 
 
-def test_node_has_a_limit_of_waiting_frames_and_flushes_only_its_own(join):
+def test_node_has_a_limited_send_queue_and_flushes_only_its_own_frames(join):
     a, b, c = join(CRAWL, tx_limit=8), join(CRAWL), join(CRAWL)
     assert a.send(sent_array([Frame(0x10 + k, bytes(8)) for k in range(12)])) == 8
     b.send(sent_array([Frame(0x50, b""), Frame(0x51, b"")]))
@@ -91,7 +91,7 @@ def test_can_fd_frame_is_padded_to_a_valid_length(join, length, carried):
     [Frame(0x800, b""), Frame(0x20000000, b"", EXTENDED), Frame(1, bytes(9)), Frame(1, bytes(8), FD)],
     ids=str,
 )
-def test_a_frame_that_the_bus_cannot_carry_is_refused(join, frame):
+def test_frame_that_the_virtual_bus_cannot_carry_is_refused(join, frame):
     node = join(BitTiming(500_000, 500_000), fd=False)
     with pytest.raises(BusError):
         node.send(sent_array([frame]))
@@ -100,7 +100,7 @@ def test_a_frame_that_the_bus_cannot_carry_is_refused(join, frame):
 
 
 @pytest.mark.parametrize(("senders", "each"), [(1, 3 * 8192), (2, 40_000)])
-def test_slow_reader_loses_the_oldest_frames_and_counts_them(join, senders, each):
+def test_slow_reader_loses_the_oldest_frames_and_counts_the_losses(join, senders, each):
     """An outbox holds 8192 frames, the common log 32768."""
     fast = BitTiming(1_000_000_000, 1_000_000_000)
     nodes, reader = [join(fast) for _ in range(senders)], join(fast)
@@ -120,7 +120,7 @@ def test_slow_reader_loses_the_oldest_frames_and_counts_them(join, senders, each
     assert got(collect(reader, soon(), {0x123}))[-1].frame.data == b"now"
 
 
-def test_the_first_participant_fixes_the_timing(join):
+def test_first_participant_fixes_the_bit_rates_and_others_with_different_rates_are_refused(join):
     viewer = join(None, None)
     join(DEFAULT_TIMING)
     assert viewer.mode.timing == DEFAULT_TIMING
@@ -130,7 +130,7 @@ def test_the_first_participant_fixes_the_timing(join):
         join(DEFAULT_TIMING, fd=False)
 
 
-def test_threads_may_share_a_participant(join):
+def test_several_threads_may_send_and_receive_through_one_participant(join):
     a, b = join(), join()
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
@@ -157,7 +157,7 @@ def _send_all(node, first):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_log_and_arbitration_give_the_same_order(runtime, monkeypatch, seed):
+def test_order_of_frames_on_the_virtual_bus_equals_that_of_computed_arbitration(runtime, monkeypatch, seed):
     """Random traffic on a wire with a manual clock, against `arbitrate`."""
     chance = random.Random(seed)
     now = [1_000_000]

@@ -25,7 +25,7 @@ from tests.drivers.received_frames import CLASSIC_8_BYTES, CRAWL, got, soon
 pytestmark = pytest.mark.usefixtures("runtime")
 
 
-def test_bus_remains_usable_after_a_sender_is_killed(join, child):
+def test_virtual_bus_remains_usable_after_a_sending_process_is_killed(join, child):
     a, b = join(), join()
     for _ in range(4):
         sender = child("while True: node.send([Frame(0x555, bytes(8))] * 4); node.receive()")
@@ -43,7 +43,7 @@ def test_bus_remains_usable_after_a_sender_is_killed(join, child):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_sender_killed_or_stopped_within_a_frame_has_no_effect(join, child, number):
+def test_process_killed_or_stopped_while_it_writes_a_frame_does_not_disturb_the_bus(join, child, number):
     sender = child(
         f"""
 from drivers.can.localcan import layout, log
@@ -75,7 +75,7 @@ def start_by_hand(words, sender, number):
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_frame_has_one_end_for_all_although_its_starter_was_killed(join, late):
+def test_frame_ends_at_the_same_time_for_all_although_the_process_that_began_it_was_killed(join, late):
     a, b, c = join(CRAWL), join(CRAWL), join(CRAWL, own=True)
     assert a.send(sent_array([Frame(0x20, bytes(8)), Frame(0x10, bytes(8))])) == 2
     start_by_hand(b._wire.words, a, 0)
@@ -88,7 +88,7 @@ def test_frame_has_one_end_for_all_although_its_starter_was_killed(join, late):
     assert heard[1][-1] == heard[0][-1]
 
 
-def test_joining_and_leaving_wait_a_bounded_time_for_a_stopped_process(join, runtime, monkeypatch):
+def test_joining_and_leaving_the_bus_wait_a_bounded_time_for_a_stopped_process(join, runtime, monkeypatch):
     monkeypatch.setattr("drivers.can.localcan.wire.JOIN_S", 0.2)
     a, b = join(), join()
     with (next((runtime / "hexapod-hil").glob("t.wire*"))).open() as held:
@@ -103,7 +103,7 @@ def test_joining_and_leaving_wait_a_bounded_time_for_a_stopped_process(join, run
     join()
 
 
-def test_reader_is_woken_although_a_sender_was_killed_while_ringing(join):
+def test_reader_is_woken_although_a_sender_was_killed_while_it_notified_readers(join):
     # marked as rung, but without a ring: the next frame after 20 ms rings again
     reader, sender = join(), join()
     reader.arm()
@@ -113,7 +113,7 @@ def test_reader_is_woken_although_a_sender_was_killed_while_ringing(join):
     assert select.select([reader], [], [], 1.0)[0]
 
 
-def test_new_participant_in_the_slot_of_a_killed_one_does_not_hold_time(join):
+def test_new_participant_in_the_slot_of_a_killed_process_does_not_pause_simulated_time(join):
     viewer, killed = join(), join()
     # 1 ns to wake up, 1 ns to work: time stands still at once
     killed.clock.begin(1, 1)
@@ -128,7 +128,7 @@ def test_new_participant_in_the_slot_of_a_killed_one_does_not_hold_time(join):
     killed._closed = True
 
 
-def test_remains_of_a_dead_bus_do_not_disturb_the_next(join, child, runtime):
+def test_files_left_by_killed_processes_do_not_disturb_the_next_virtual_bus(join, child, runtime):
     child("node.send([Frame(0x111, bytes(8))] * 60); os.kill(os.getpid(), 9)").wait(10)
     assert list((runtime / "hexapod-hil").iterdir())
     # different timing from the dead bus, none of its frames, and no files at the end
@@ -141,7 +141,7 @@ def test_remains_of_a_dead_bus_do_not_disturb_the_next(join, child, runtime):
 
 
 @pytest.mark.realtime
-def test_two_processes_at_full_load_lose_no_frame_and_keep_the_bus_time(join, child):
+def test_two_processes_at_full_bus_load_lose_no_frame_and_keep_the_bit_times(join, child):
     node = join()
     child(
         """
@@ -163,7 +163,7 @@ time.sleep(1)
     assert node.overflow == 0
 
 
-def test_new_participant_next_to_a_sender_stays_on_the_bus(join, child):
+def test_participant_that_joins_while_another_sends_stays_on_the_bus(join, child):
     child("while True: node.send([Frame(0x55, b'')]); time.sleep(2e-4)")
     node = join()
     for _ in range(60):
@@ -174,7 +174,7 @@ def test_new_participant_next_to_a_sender_stays_on_the_bus(join, child):
 
 
 @pytest.mark.long
-def test_all_participants_see_one_order_although_some_are_stopped(join, child, tmp_path):
+def test_all_participants_receive_one_order_of_frames_although_some_are_stopped(join, child, tmp_path):
     """Four processes send, and two of them are stopped and resumed at random; all logs agree."""
     watcher = join()
     code = """

@@ -36,7 +36,7 @@ def message(identifier, data=b"", **options):
     return can.Message(arbitration_id=identifier, data=data, is_extended_id=False, **options)
 
 
-def test_python_can_finds_localcan_by_its_entry_point():
+def test_python_can_finds_the_localcan_interface_by_its_entry_point():
     with (
         can.Bus("t", "localcan", bitrate=1_000_000, data_bitrate=5_000_000, fd=True, ignore_config=True) as a,
         can.Bus("t", "localcan", receive_own_messages=True, ignore_config=True) as b,
@@ -60,7 +60,7 @@ def test_python_can_finds_localcan_by_its_entry_point():
         assert next_message(a).arbitration_id == 0x50
 
 
-def test_different_timing_a_full_queue_and_fd_frames_are_refused():
+def test_localcan_refuses_different_bit_rates_a_full_queue_and_fd_frames_on_a_classic_bus():
     with LocalCanBus("t", bitrate=125_000, fd=False) as bus:
         with pytest.raises(can.CanInitializationError, match="125000"):
             LocalCanBus("t", bitrate=250_000)
@@ -73,7 +73,7 @@ def test_different_timing_a_full_queue_and_fd_frames_are_refused():
             bus.send(message(0x1, is_fd=True))
 
 
-def test_asyncio_reader_gets_all_messages_through_the_descriptor():
+def test_asyncio_reader_gets_all_localcan_messages_through_the_file_descriptor():
     async def run() -> list[int]:
         with LocalCanBus("t", bitrate=1_000_000, fd=False) as a, LocalCanBus("t") as b:
             reader = can.AsyncBufferedReader()
@@ -110,7 +110,7 @@ def on_the_bus(
         process.wait(10)
 
 
-def test_the_logger_of_python_can_records_the_bus(join, tmp_path):
+def test_logger_of_python_can_records_a_localcan_bus(join, tmp_path):
     node, path = join(), tmp_path / "bus.log"
     with on_the_bus(node, "can.logger", "-f", str(path), stdout=subprocess.DEVNULL) as logger:
         node.send(sent_array([Frame(0x100 + i, bytes([i] * 12), FD | BRS) for i in range(50)]))
@@ -123,7 +123,7 @@ def test_the_logger_of_python_can_records_the_bus(join, tmp_path):
     assert len(node._wire.present()) == 1
 
 
-def test_the_viewer_of_python_can_shows_the_bus(join, monkeypatch):
+def test_viewer_of_python_can_shows_frames_of_a_localcan_bus(join, monkeypatch):
     node, screen = join(), b""
     for name, value in {"TERM": "xterm", "LINES": "40", "COLUMNS": "120"}.items():
         monkeypatch.setenv(name, value)

@@ -92,16 +92,18 @@ class TestRobStride(MitInTrouble):
 BRAKES = SETUP._replace(reaction=Reaction.BRAKE)
 
 
-def test_new_run_enables_again_without_any_frame_in_between():
+def test_run_commanded_right_after_off_sends_enable_frames_again():
     protocol = mit("damiao")
     dialogue = begun(protocol, mode=DriveMode.RUN, ran=(True,) * 6)
-    assert ENABLE not in {frame.data for frame in protocol.begin(dialogue, 1)}, "it was disabled by itself"
+    assert ENABLE not in {frame.data for frame in protocol.begin(dialogue, 1)}, (
+        "the drive was disabled by itself"
+    )
     for mode in (DriveMode.OFF, DriveMode.RUN):
         dialogue, _ = protocol.command(dialogue, Command(mode, np.zeros(6)), 1)
     assert {frame.data for frame in protocol.begin(dialogue, 2)} == {ENABLE}
 
 
-def test_drive_with_other_ranges_is_not_set_up_and_the_range_is_reported():
+def test_set_up_of_a_drive_with_different_ranges_fails_and_reports_the_range():
     ends = Ends(mit("damiao"))
     other = ByValue(MitProtocol("damiao", RANGES._replace(position=100.0), MIT_NODES, 16, GEAR))
     ends.dialogue = other.start(BRAKES)
@@ -112,7 +114,7 @@ def test_drive_with_other_ranges_is_not_set_up_and_the_range_is_reported():
     assert other.set_up_lacks(ends.dialogue)[0] == "PMAX (register 21) is 95.5 in the drive, expected 100"
 
 
-def test_range_that_is_not_a_single_is_confirmed_by_the_nearest_single():
+def test_range_without_exact_float32_value_is_confirmed_by_the_nearest_float32():
     near = RANGES._replace(position=95.3, velocity=400.1, torque=143.9)
     Ends(MitProtocol("damiao", near, MIT_NODES, 16, GEAR)).until_set_up()
 
@@ -154,7 +156,7 @@ def frame(v: Any) -> Frame:
         *(("robstride", m, m) for m in VARIANTS["robstride"].models),
     ],
 )
-def test_ranges_of_a_model_agree_with_other_libraries(variant, model, name):
+def test_value_ranges_of_each_mit_drive_model_agree_with_other_libraries(variant, model, name):
     file = variant if variant in DATA else "mit"
     assert VARIANTS[variant].models[model] == pytest.approx(ranges(file, name), rel=1e-8)
 
@@ -163,7 +165,7 @@ def damiao(motor: str = "DM4310") -> MitProtocol:
     return MitProtocol("damiao", ranges("damiao", motor), ALL_NODES, 16, GEAR)
 
 
-def test_damiao_special_frames_and_registers_agree_with_libraries():
+def test_damiao_special_frames_and_registers_agree_with_independent_libraries():
     protocol = damiao()
     start = protocol.start(BRAKES)
     # 0.1 s are 2000 steps of 50 us
@@ -182,7 +184,7 @@ def test_damiao_special_frames_and_registers_agree_with_libraries():
         assert sent == frame(vectors("damiao", what)[0]), what
 
 
-def test_robstride_special_frames_agree_with_libraries():
+def test_robstride_special_frames_agree_with_independent_libraries():
     protocol = robstride()
     start = protocol.start(BRAKES)
     written, read = protocol.exchanges(BRAKES)[0][0].frames
@@ -198,7 +200,7 @@ def test_robstride_special_frames_agree_with_libraries():
 
 
 @given(torque=st.floats(-20.0, 20.0), position=st.floats(-15.0, 15.0))
-def test_command_saturates_and_never_becomes_a_special_frame(torque, position):
+def test_torque_command_saturates_and_never_equals_an_enable_disable_or_clear_frame(torque, position):
     r = VARIANTS["damiao"].models["DM4310"]
     p, v, kp, kd, t = unpack_command(pack_command(position, 0.0, 0.0, 0.0, torque, r), r)
     assert 0.0 <= min(max(torque, -10.0), 10.0) - t < 20.0 / 4095 * (1 + 1e-9)
@@ -257,7 +259,7 @@ def made(layout: Any = "classic", **changes: Any) -> Any:
         ({"force_limit_N": 4000.0}, r"4000 N need 12\.73 N m"),
     ],
 )  # fmt: skip
-def test_setting_that_the_variant_does_not_have_is_refused_with_its_name(changes, message):
+def test_setting_that_an_mit_variant_does_not_support_is_refused_with_its_key(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         made(**changes)
 
@@ -271,7 +273,7 @@ def test_setting_that_the_variant_does_not_have_is_refused_with_its_name(changes
         ("robstride", "rs-03", 253, 127),
     ],
 )
-def test_settings_reach_the_nodes_ranges_and_identifiers_of_a_variant(variant, model, host, last):
+def test_configured_nodes_ranges_and_identifiers_reach_each_mit_codec(variant, model, host, last):
     nodes = [7, 2, 3, 4, 1, last]
     options = {"variant": variant, "model": model}
     delivered = VARIANTS[variant].models[model]
@@ -294,7 +296,7 @@ def test_settings_reach_the_nodes_ranges_and_identifiers_of_a_variant(variant, m
 
 
 @pytest.mark.parametrize("variant", ["mini_cheetah", "cubemars", "damiao"])
-def test_reported_lengths_have_the_range_of_the_position_field(variant):
+def test_range_of_reported_leg_lengths_follows_from_the_position_field(variant):
     """12.5 rad on a pulley of 20 mm are 0.25 m, in both directions from the motor's zero."""
     gear = Transmission(TransmissionSettings(pulley_radius_m=0.02, offset_m=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5]))
     ranges, host = RANGES._replace(position=12.5), 16 if variant == "damiao" else 0

@@ -91,7 +91,7 @@ def test_drive_obeys_torques_only_while_it_is_enabled(name):
 
 
 @every_one
-def test_clear_resets_if_supported_and_a_broken_frame_is_not_obeyed(name):
+def test_clear_frame_resets_drives_that_support_it_and_drives_ignore_an_invalid_frame(name):
     running = FOUR[name].power_up()._replace(enabled=(True,) * 6)
     clear = to(name, "clear") if name == "robstride" else Frame(4, CLEAR)
     memory, ((first, *_),) = parsed(name, clear, memory=running)
@@ -110,7 +110,7 @@ def test_clear_resets_if_supported_and_a_broken_frame_is_not_obeyed(name):
 
 
 @every_one
-def test_frame_to_each_drive_depends_on_its_state_and_history(name):
+def test_frame_to_each_drive_depends_on_commanded_mode_drive_state_and_whether_it_was_enabled(name):
     protocol, torques = FOUR[name], (10.0, -20.0, 30.0, 40.0, 50.0, -144.0)
     six: dict[str, Any] = {"power": (1, 3, 4, 1, 0, 4), "ran": (False, False, False, True, False, True)}
     start = protocol.start(SETUP)._replace(torque=torques, **six)
@@ -140,7 +140,7 @@ def reply(kind: int, register: int, value: bytes) -> Answer:
     return Answer(3, Frame(20, bytes((4, 0, kind, register)) + value))
 
 
-def test_register_keeps_its_value_and_a_watchdog_acts_at_once():
+def test_damiao_register_keeps_its_written_value_and_a_written_watchdog_acts_at_once():
     ticks, one, other = struct.pack("<I", 1000), struct.pack("<I", 1), struct.pack("<f", 7.5)
     limit = Configure(3, 0.05, Reaction.BRAKE)
     memory, found = parsed(
@@ -166,7 +166,7 @@ def test_register_keeps_its_value_and_a_watchdog_acts_at_once():
     assert [each[0] for each in memory.registers] == [leg == 3 for leg in range(6)]
 
 
-def test_damiao_obeys_requests_to_its_node_and_refuses_invalid_ones():
+def test_damiao_drive_obeys_register_requests_to_its_node_and_refuses_invalid_ones():
     memory = DAMIAO.power_up()
     for leg, node in enumerate(MIT_NODES):
         for kind in (READ, WRITE):
@@ -196,7 +196,7 @@ def test_damiao_obeys_requests_to_its_node_and_refuses_invalid_ones():
         (DriveFault.STROKE, 0, 14),
     ],
 )
-def test_each_variant_reports_state_and_fault_in_its_own_field(fault, cubemars, damiao):
+def test_each_mit_variant_reports_state_and_fault_in_its_own_field_of_the_reply(fault, cubemars, damiao):
     faults = np.array([0, 0, fault, 0, 0, 0])
     for state in DriveState:
         states = np.array([1, 1, state, 1, 1, 1])
@@ -222,7 +222,7 @@ REST = bytes((0x80, 0, 0x80, 8, 0, 30, 30))
 
 
 @pytest.mark.parametrize("status", range(16))
-def test_status_of_a_damiao_is_a_state_a_fault_or_broken(status):
+def test_status_code_of_a_damiao_reply_is_a_state_a_fault_or_invalid(status):
     heard = DAMIAO.hear(Frame(19, bytes((status << 4 | 3,)) + REST))
     if status in (2, 3, 4, 5, 6, 7, 15):
         assert heard == Heard(2, broken=True)
@@ -235,7 +235,7 @@ def test_status_of_a_damiao_is_a_state_a_fault_or_broken(status):
 @pytest.mark.parametrize(
     ("name", "sizes"), [("mini_cheetah", (6, 7)), ("cubemars", (6, 7, 8)), ("damiao", (8,))]
 )
-def test_reply_of_wrong_length_or_unknown_node_is_broken(name, sizes):
+def test_reply_of_wrong_length_or_unknown_node_counts_as_invalid(name, sizes):
     protocol, identifier = VARIANTS[name], 19 if name == "damiao" else 0
     for size in range(9):
         heard = protocol.hear(Frame(identifier, bytes((3, 0x80, 0, 0x80, 8, 0, 0, 0))[:size]))
@@ -249,7 +249,7 @@ def test_reply_of_wrong_length_or_unknown_node_is_broken(name, sizes):
 
 @pytest.mark.parametrize("code", [0, 1, 0x8000, 0xFFFE, 0xFFFF])
 @every_variant
-def test_position_at_its_end_is_no_reading_if_replies_saturate(name, code):
+def test_position_at_the_end_of_its_range_is_not_a_measurement_if_replies_saturate(name, code):
     tail = {"mini_cheetah": b"", "cubemars": bytes((30, 0)), "damiao": bytes((30, 30))}[name]
     first, identifier = (0x13, 19) if name == "damiao" else (3, 0)
     data = bytes((first, code >> 8, code & 0xFF, 0x80, 0x08, 0)) + tail
@@ -258,7 +258,7 @@ def test_position_at_its_end_is_no_reading_if_replies_saturate(name, code):
     assert (heard.motion is None) == (name != "mini_cheetah" and code in (0, 0xFFFF))
 
 
-def test_register_of_a_damiao_is_an_answer_but_its_identity_is_not():
+def test_damiao_register_reply_is_a_set_up_answer_except_for_the_identity_registers():
     for data, expected in (
         (b"\4\0\x33\x15" + struct.pack("<f", 95.5), Heard(3, answer=(21, 95.5))),
         (b"\4\0\x55\x09" + struct.pack("<I", 1000), Heard(3, answer=(9, 1000.0))),
@@ -271,7 +271,7 @@ def test_register_of_a_damiao_is_an_answer_but_its_identity_is_not():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_identity_of_a_damiao_is_in_two_registers(leg):
+def test_serial_number_and_revision_of_a_damiao_drive_are_read_from_two_registers(leg):
     node = MIT_NODES[leg]
     for register, what in ((15, "serial number"), (14, "revision")):
         data = bytes((node, 0, 0x33, register, 1, 2, 3, 4))
@@ -289,7 +289,7 @@ def test_identity_of_a_damiao_is_in_two_registers(leg):
     assert VARIANTS["cubemars"].identity(Frame(0, data)) is None
 
 
-def test_damiao_is_set_up_with_mode_watchdog_and_three_ranges():
+def test_set_up_of_a_damiao_drive_has_mode_watchdog_and_three_ranges():
     (exchanges, *_, last) = DAMIAO.exchanges(SETUP)
     assert {each.register: each.value for each in exchanges} == {10: 1, 9: 1000, 21: 95.5, 22: 400, 23: 144}
     assert [each.frames for each in last] == [

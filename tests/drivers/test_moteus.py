@@ -49,7 +49,7 @@ class TestMoteusStopped(ProtocolContract):
     def family(self):
         return MoteusProtocol(MOTEUS_NODES, 10, Reaction.BRAKE, 1000.0, GEAR, brs=False)
 
-    def test_all_frames_keep_the_arbitration_bit_rate(self, family):
+    def test_moteus_frames_are_can_fd_without_bit_rate_switch(self, family):
         ends = Ends(family)
         ends.until_set_up()
         found = family.traits
@@ -63,17 +63,17 @@ def read(data: bytes) -> str:
     return foreign.line(said[0], said[1], said[2], said[3], said[0xF])
 
 
-def test_ten_thousand_commands_agree_with_the_vendors_package():
+def test_ten_thousand_moteus_commands_equal_those_of_the_vendors_package():
     ours = foreign.digest(torque_command(t, most, wait) for _, t, most, wait in foreign.commands())
     assert (ours, RANDOM["count"]) == (RANDOM["commands"], 10_000)
     assert RANDOM["package"] == "moteus 1.1.1 from PyPI (Apache-2.0)"
 
 
-def test_ten_thousand_replies_are_read_like_the_vendors_package_does():
+def test_ten_thousand_moteus_replies_are_decoded_as_by_the_vendors_package():
     assert foreign.digest(read(each).encode() for each in foreign.replies()) == RANDOM["replies"]
 
 
-def test_commands_and_replies_agree_with_the_installed_package():
+def test_moteus_commands_and_replies_agree_with_the_installed_vendor_package():
     package = pytest.importorskip("moteus")
     assert version("moteus") == "1.1.1"
     for each in foreign.commands():
@@ -82,7 +82,7 @@ def test_commands_and_replies_agree_with_the_installed_package():
         assert foreign.foreign_line(package, data) == read(data), data.hex()
 
 
-def test_commands_and_stops_agree_with_the_vectors_and_identifiers():
+def test_moteus_command_and_stop_frames_have_the_recorded_bytes_and_identifiers():
     stop = next(
         v for v in VECTORS if v["what"] == "stop" and v["inputs"].get("query") and v["inputs"]["id"] == 1
     )
@@ -111,7 +111,7 @@ def test_enabled_drive_damps_after_its_command_times_out_until_a_stop():
     snapshot = ends.nodes.snapshot()
     assert snapshot.state.tolist() == [DriveState.FAULT] * 6
     assert snapshot.fault.tolist() == [DriveFault.WATCHDOG] * 6
-    assert not snapshot.brake.any(), "it damps"
+    assert not snapshot.brake.any(), "the watchdog reaction is to damp, with the brake open"
     run = Command(DriveMode.RUN, np.zeros(6))
     ends.dialogue, _ = ends.protocol.command(ends.dialogue, run, ends.tick)
     ends.step(run)
@@ -122,7 +122,7 @@ def test_enabled_drive_damps_after_its_command_times_out_until_a_stop():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_only_a_new_run_enables_a_drive_that_stopped_in_motion(leg):
+def test_drive_that_switched_off_in_motion_is_enabled_only_after_another_mode_and_a_new_run(leg):
     ends = Ends(moteus())
     ends.running()
     enter(ends.nodes._drives, leg, DriveState.OFF, DriveFault.NONE)
@@ -149,7 +149,7 @@ STEPS = {
 
 
 @pytest.mark.parametrize("width", STEPS)
-def test_package_reads_the_answers_of_an_emulated_drive_at_any_width(width):
+def test_vendors_package_reads_emulated_moteus_answers_of_every_register_width(width):
     package: Any = pytest.importorskip("moteus")
     resolution = package.QueryResolution()
     for name in ("position", "velocity", "torque", "q_current", "abs_position", "voltage", "temperature"):
@@ -172,7 +172,7 @@ def test_package_reads_the_answers_of_an_emulated_drive_at_any_width(width):
     assert 0x102 not in said, "unknown register: an error"
 
 
-def test_identity_request_and_answer_agree_with_the_package():
+def test_moteus_identity_request_and_answer_agree_with_the_vendors_package():
     package: Any = pytest.importorskip("moteus")
     r = package.Register
     serial = (r.SERIAL_NUMBER1, r.SERIAL_NUMBER2, r.SERIAL_NUMBER3)
@@ -187,7 +187,7 @@ def test_identity_request_and_answer_agree_with_the_package():
         assert P.hear(reply) == Heard(2), "no feedback, and not broken"
 
 
-def test_serial_number_has_96_bits_lowest_word_first_and_version_32():
+def test_moteus_identity_has_a_96_bit_serial_number_lowest_word_first_and_a_32_bit_version():
     words = struct.pack("<III", 0x80000001, 2, 0xFFFFFFFF)
     whole = Frame(0x300, pad(bytes.fromhex("2ba002") + words), FD | BRS)
     assert P.identity(whole) == Said(2, "serial number", 0xFFFFFFFF_00000002_80000001)
@@ -224,7 +224,7 @@ def made(layout: Any = "fd", **changes: Any) -> Any:
         ({"options": {"timeout_mode": "stopped", "torque_N_m": 0.9}}, r"300 N need 0\.9549 N m .* up to 0\.9 N m"),
     ],
 )  # fmt: skip
-def test_invalid_setting_is_refused_with_its_name(changes, message):
+def test_invalid_setting_of_moteus_drives_is_refused_with_its_key(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         made(**changes)
 
@@ -232,7 +232,7 @@ def test_invalid_setting_is_refused_with_its_name(changes, message):
 @pytest.mark.parametrize(
     ("mode", "reaction", "number"), [("stopped", Reaction.BRAKE, 0), ("zero_velocity", Reaction.DAMP, 12)]
 )
-def test_settings_reach_the_codec(mode, reaction, number):
+def test_configured_settings_reach_the_moteus_codec(mode, reaction, number):
     protocol = made(options={"timeout_mode": mode, "host_id": 9, "torque_N_m": 1.5})
     assert protocol.traits.feedback_ids == {node << 8 | 9 for node in (7, 2, 3, 4, 5, 6)}
     assert (protocol.traits.reactions, protocol.torque_limit) == ((reaction,), 1.5)

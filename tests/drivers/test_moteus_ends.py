@@ -53,7 +53,7 @@ def written(**values: float) -> Frame:
         ({"kp": None}, None), ({"kd": None}, None), ({"kp": 1.0}, None),
     ],
 )  # fmt: skip
-def test_position_mode_without_gains_is_a_limited_torque(changes, torque):
+def test_position_mode_command_with_zero_gains_gives_a_torque_within_the_maximum(changes, torque):
     values = {"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": 2.0} | changes
     memory, (messages,) = parsed(written(**{name: x for name, x in values.items() if x is not None}))
     if torque is None:
@@ -65,13 +65,13 @@ def test_position_mode_without_gains_is_a_limited_torque(changes, torque):
 
 
 @pytest.mark.parametrize(("sent_s", "kept_s"), [(0.03, 0.03), (nan, 0.1), (0.0, 0.1)])
-def test_command_without_a_timeout_leaves_the_factory_setting(sent_s, kept_s):
+def test_command_without_a_timeout_keeps_the_factory_watchdog_of_the_drive(sent_s, kept_s):
     _, ((first, *_),) = parsed(to(3, torque_command(0.5, 2.0, sent_s)))
     assert first.leg == 3
     assert first.watchdog_s == pytest.approx(kept_s, rel=1e-6)
 
 
-def test_drive_obeys_can_fd_frames_to_its_identifier_or_to_all():
+def test_moteus_drive_obeys_can_fd_frames_to_its_identifier_or_to_all_drives():
     fd, enabled = FD | EXTENDED, P.power_up()._replace(enabled=(True,) * 6)
     own = [(0x104, FD), (0x8104, fd), (0xFF04, fd)]
     to_all = [(0xFFFF, fd), (0x7FF, FD), (0x7F, FD)]
@@ -99,7 +99,7 @@ def test_drive_obeys_can_fd_frames_to_its_identifier_or_to_all():
         (DriveState.FAULT, DriveFault.NONE, 1, 33),
     ],
 )
-def test_mode_and_fault_of_an_answer_follow_from_the_drives_state(state, fault, mode, code):
+def test_mode_and_fault_in_the_answer_of_an_emulated_drive_follow_from_its_state(state, fault, mode, code):
     one, six, faults = np.ones(6), np.full(6, 1), np.zeros(6, np.int64)
     six[2], faults[2] = state, fault
     for leg, frame in P.answer(P.power_up(), Sync(0), one, one, one, six, faults)[1]:
@@ -137,19 +137,19 @@ def reply(
         ({"torque": inf}, None),
     ],
 )
-def test_reply_is_decoded_to_state_fault_and_motion(given, heard):
+def test_moteus_reply_is_decoded_to_state_fault_position_and_velocity(given, heard):
     values: dict[str, Any] = {"motion": (0.5, 0.25), "feedback": True, "torque": 1.5, "fault": 0}
     expected = Heard(3, broken=True) if heard is None else Heard(3, **values | heard)
     assert P.hear(reply(**given)) == expected
 
 
 @pytest.mark.parametrize("byte", [0x50, 0xCC, 0xAA, 0x55, 0xFF])
-def test_padding_byte_of_a_reply_does_not_matter(byte):
+def test_padding_bytes_at_the_end_of_a_moteus_reply_are_ignored(byte):
     data = reply().data.rstrip(b"\x50")
     assert P.hear(reply()._replace(data=data.ljust(24, bytes((byte,))))) == P.hear(reply())
 
 
-def test_incomplete_reply_is_broken():
+def test_incomplete_moteus_reply_counts_as_invalid():
     texts = "21", "2100", "2f01000000", "ff", "210001", "2c", "2c7f7f", "7f01"
     known = (0, 1, 2, 3, 0xF)
     lacking = (b"".join(bytes((0x21, k, 1)) for k in known if k != missing) for missing in known)
@@ -157,7 +157,7 @@ def test_incomplete_reply_is_broken():
         assert P.hear(Frame(4 << 8 | 1, data, FD | BRS)) == Heard(3, broken=True)
 
 
-def test_reply_with_wrong_flags_is_ignored():
+def test_moteus_reply_with_wrong_frame_flags_is_ignored():
     frame = reply()
     for flags in (BRS, *(frame.flags | wrong for wrong in (EXTENDED, REMOTE, ERROR, BUS))):
         assert P.hear(frame._replace(flags=flags)) is None
@@ -167,7 +167,7 @@ def test_reply_with_wrong_flags_is_ignored():
         assert protocol.hear(frame._replace(id=identifier, flags=wrong)) is None
 
 
-def test_command_of_another_controller_is_foreign_for_its_leg():
+def test_command_frame_of_another_controller_counts_as_foreign_for_its_leg():
     ids = (0x0502, 1), (126, 5), (0x007F, 0), (0xFF7F, 0), (0xFF05, 4), (0xFFFF, 0), (0x7FF, 0)
     for identifier, leg in ids:
         flags = FD | EXTENDED * (identifier > 0x7FF)
@@ -200,7 +200,7 @@ SAID: dict[str, dict[int, float] | None] = {
 }  # fmt: skip
 
 
-def test_frame_gives_its_scaled_registers_or_is_broken():
+def test_moteus_frame_is_decoded_to_scaled_register_values_or_counts_as_invalid():
     for text, found in SAID.items():
         said = registers(bytes.fromhex(text), REPLY)
         assert said == (None if found is None else pytest.approx(found, rel=1e-12)), text
@@ -220,7 +220,7 @@ def test_frame_gives_its_scaled_registers_or_is_broken():
         (0x28, {0: 1.0}),
     ],
 )
-def test_command_register_scale_depends_on_register_and_number_width(register, scales):
+def test_scale_of_a_moteus_command_value_depends_on_register_and_integer_width(register, scales):
     for width, scale in scales.items():
         number = struct.pack("<" + "bhif"[width], 3)
         found: Any = registers(bytes((WRITE | width << 2 | 1, register)) + number, WRITE)
@@ -243,11 +243,11 @@ def test_command_register_scale_depends_on_register_and_number_width(register, s
         ("11 03 30 11 04", "21 03 03"),  # an error ends the frame
     ],
 )
-def test_reply_has_the_requested_groups_and_an_error_for_unknown_ones(text, reply):
+def test_moteus_reply_has_the_requested_register_groups_and_an_error_for_unknown_registers(text, reply):
     assert replied(bytes.fromhex(text)) == pad(bytes.fromhex(reply))
 
 
-def test_reply_ends_when_its_frame_is_full():
+def test_moteus_reply_is_cut_when_its_frame_is_full():
     for count in (63, 64, 65, 127):
         assert asked(bytes((READ, count, 1))) == tuple((1 + k, 0) for k in range(min(count, 64)))
     reply = replied(bytes((READ | 3 << 2, 20, 1)))
@@ -259,7 +259,7 @@ def test_reply_ends_when_its_frame_is_full():
         assert pad(bytes(size)) == bytes(size) + b"\x50" * (full - size), "lengths of CAN FD"
 
 
-def test_integers_saturate_before_the_code_reserved_for_nan():
+def test_integer_registers_saturate_before_the_value_reserved_for_nan():
     for value, raw in ((1.27, 127), (1.29, 127), (9.0, 127), (-1.27, -127), (-1.28, -127), (-9.0, -127)):
         assert replied(b"\x11\1", value) == bytes((0x21, 1)) + struct.pack("b", raw)
         assert replied(b"\x11\1", value, state=DriveState.RUN | INVALID) == b"\x21\1\x80"

@@ -35,7 +35,7 @@ def at(number: int, age: Any = 0) -> Record:
     return tick
 
 
-def test_reaction_that_the_drives_do_not_have_is_refused():
+def test_watchdog_reaction_that_the_drives_do_not_support_is_refused():
     for reaction in set(Reaction) - {Reaction.DAMP}:
         with pytest.raises(ProtocolError, match=f"reactions.silence {reaction.name.lower()}.* damp"):
             P.start(DriveSetup(0.05, reaction, 250.0))
@@ -46,7 +46,7 @@ def test_reaction_that_the_drives_do_not_have_is_refused():
 # commands
 
 
-def test_command_is_stored_as_torques_at_the_last_rates():
+def test_force_command_is_stored_as_motor_torques_with_losses_at_the_last_rates():
     force, rate = np.array([1.0, -2.0, 3.0, 0.0, 5.0, -6.0]), (0.05, -0.05, 0.2, 0.0, -0.2, 0.01)
     dialogue, frames = P.command(begun(P, rate=rate), Command(DriveMode.READY, force), 3)
     assert (frames, dialogue.mode) == ((), DriveMode.READY)
@@ -54,7 +54,7 @@ def test_command_is_stored_as_torques_at_the_last_rates():
     assert dialogue.torque != tuple(UNLIKE.torque(force).tolist())
 
 
-def test_only_a_change_of_mode_forgets_which_drives_ran():
+def test_record_of_enabled_drives_is_cleared_only_by_a_change_of_the_commanded_mode():
     ran = (True, False, True, False, False, True)
     for before in DriveMode:
         for after in DriveMode:
@@ -64,7 +64,7 @@ def test_only_a_change_of_mode_forgets_which_drives_ran():
 
 @pytest.mark.parametrize("leg", [0, 5])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_force_is_accepted_up_to_the_largest_torque_of_the_field(leg, sign):
+def test_force_command_is_accepted_up_to_the_largest_torque_that_the_frame_can_carry(leg, sign):
     force = np.zeros(6)
     most = sign * 2.0 * UNLIKE.N_per_Nm[leg]
     force[leg] = most * (1.0 + 1e-10)
@@ -81,7 +81,7 @@ def test_force_is_accepted_up_to_the_largest_torque_of_the_field(leg, sign):
 # the start-up dialogue
 
 
-def test_one_drive_per_tick_gets_its_next_exchange():
+def test_only_one_drive_per_period_gets_its_next_set_up_request():
     dialogue = begun(DAMIAO, done=(6, 3, 0, 5, 3, 6))
     sent = []
     for number in range(13, 16):
@@ -92,7 +92,7 @@ def test_one_drive_per_tick_gets_its_next_exchange():
     assert DAMIAO.set_up(dialogue, at(16)) == (dialogue, ())
 
 
-def test_drive_that_gets_no_request_does_not_delay_the_next_one():
+def test_drive_that_needs_no_set_up_request_does_not_delay_the_request_to_the_next_drive():
     power = tuple(map(int, (RUN, OFF, OFF, FAULT, OFF, OFF)))
     for asked, node in ((4, 4), (3, 2)):  # before, and after, ten ticks without an answer
         dialogue = begun(DAMIAO, done=(1,) * 6, power=power, asked=(-10, asked, -10, -10, -10, -10))
@@ -101,13 +101,13 @@ def test_drive_that_gets_no_request_does_not_delay_the_next_one():
         assert frame.data[0] == node
 
 
-def test_answer_with_the_value_as_a_single_confirms_its_exchange():
+def test_answer_with_the_written_value_as_float32_confirms_the_set_up_request():
     before: dict[str, Any] = {"done": (3,) * 6, "asked": (9,) * 6, "read": 4.0, "has_read": 1}
     tick, dialogue = measured(DAMIAO, answer(3, PMAX, 95.5), **before)
     assert dialogue.done == (3, 3, 3, 4, 3, 3)
     assert dialogue.asked == (9, 9, 9, -10, 9, 9)
     assert (dialogue.read, dialogue.has_read) == ((4.0, 4.0, 4.0, 0.0, 4.0, 4.0), (1, 1, 1, 0, 1, 1))
-    assert tick["age"].tolist() == [1] * 6, "it is no feedback"
+    assert tick["age"].tolist() == [1] * 6, "an answer of the set-up is no feedback"
     assert measured(DAMIAO, answer(3, 23, 144.0), done=(6, 6, 6, 5, 6, 6))[1].done == (6,) * 6
     _, dialogue = measured(DAMIAO, answer(3, PMAX, 95.0), done=(3,) * 6)
     assert (dialogue.done, dialogue.read[3], dialogue.has_read) == ((3,) * 6, 95.0, (0, 0, 0, 1, 0, 0))
@@ -116,13 +116,13 @@ def test_answer_with_the_value_as_a_single_confirms_its_exchange():
 @pytest.mark.parametrize(
     ("done", "register"), [(0, PMAX), (2, PMAX), (3, VMAX), (4, PMAX), (6, PMAX), (6, 23)]
 )
-def test_answer_to_another_request_changes_nothing(done, register):
+def test_answer_to_another_request_does_not_advance_the_set_up(done, register):
     for value in (95.5, 400.0, 144.0, 7.0):
         _, dialogue = measured(DAMIAO, answer(3, register, value), done=(done,) * 6)
         assert dialogue == begun(DAMIAO, done=(done,) * 6, owed=(min(done, 1),) * 6)
 
 
-def test_missing_answer_register_or_state_of_each_drive_is_reported():
+def test_set_up_report_shows_the_missing_answer_register_or_state_of_each_drive():
     power = tuple(map(int, (OFF, OFF, OFF, OFF, BOOT, RUN)))
     read = {"read": (0.0, 0.0, 0.0, 7.25, 0.0, 1.0), "has_read": (0, 0, 0, 1, 0, 1)}
     dialogue = begun(DAMIAO, done=(0, 1, 3, 3, 6, 6), power=power, **read)
@@ -152,7 +152,7 @@ TRAITS = {
 
 
 @pytest.mark.parametrize("name", MOTORS)
-def test_each_family_has_these_traits(name):
+def test_timing_watchdog_and_reaction_traits_of_each_drive_family_equal_the_expected_table(name):
     t = MOTORS[name].traits
     found = t.command_delay_ticks, t.set_up_frames, t.stop_latches, t.shares_identifiers, t.has_watchdog
     assert (*found, t.power_told, *t.reactions) == TRAITS[name]
@@ -166,7 +166,7 @@ def test_each_family_has_these_traits(name):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_refused_torque_is_that_of_the_worst_leg_which_is_reported(leg):
+def test_force_limit_beyond_the_motor_torque_is_refused_with_the_leg_that_needs_most(leg):
     # F l / (2 pi eta): 100 N x 0.2 m / (2 pi 0.8) = 3.979 N m
     leads = [0.2 if each == leg else 0.1 for each in range(6)]
     unlike = Transmission(TransmissionSettings(lead_m=leads, efficiency=0.8, sign=[1, -1, 1, -1, 1, -1]))

@@ -49,7 +49,7 @@ UNLIKES = motors(UNLIKE)
 
 
 @pytest.mark.parametrize("name", MOTORS)
-def test_each_drive_answers_with_its_own_numbers_in_the_order_of_the_poll(name):
+def test_each_drive_answers_with_its_own_position_rate_and_torque_in_the_order_of_the_polls(name):
     protocol, turns = UNLIKES[name], np.array([0.5, -0.5, 1.5, 2.5, -3.0, 4.0])
     rate = UNLIKE.rate(turns / 4)
     reading = UNLIKE.length(turns), rate, UNLIKE.force(turns * 2, rate), np.ones(6, np.int64)
@@ -65,7 +65,7 @@ def test_each_drive_answers_with_its_own_numbers_in_the_order_of_the_poll(name):
 
 @pytest.mark.parametrize("state", DriveState)
 @pytest.mark.parametrize("name", MOTORS)
-def test_lost_encoder_gives_no_length_in_any_state(name, state):
+def test_answer_of_a_drive_with_a_lost_encoder_gives_no_length_in_any_state(name, state):
     for lost in range(LEGS):
         frames = sent(name, 1.6, lost, state)
         if name == "mini_cheetah":
@@ -81,7 +81,7 @@ def test_lost_encoder_gives_no_length_in_any_state(name, state):
 
 @pytest.mark.parametrize("end", [-1.0, 1.0])
 @pytest.mark.parametrize("name", ["cubemars", "damiao", "robstride"])
-def test_position_past_either_end_of_its_range_is_no_length(name, end):
+def test_position_beyond_either_end_of_its_field_gives_no_length(name, end):
     past, inside = (1.75 + end * 0.1 * turns / (2 * np.pi) for turns in (96.0, 95.0))
     assert [MOTORS[name].hear(frame).motion for frame in sent(name, past)] == [None] * LEGS
     assert all(MOTORS[name].hear(frame).motion is not None for frame in sent(name, inside))
@@ -89,7 +89,7 @@ def test_position_past_either_end_of_its_range_is_no_length(name, end):
 
 @pytest.mark.parametrize("place", [0.5, nan, inf, -inf])
 @pytest.mark.parametrize("speed", [0.25, nan, inf, -inf])
-def test_estimate_of_an_axis_gives_motion_only_if_both_values_are_finite(place, speed):
+def test_encoder_estimate_of_an_odrive_axis_is_used_only_if_both_values_are_finite(place, speed):
     for leg, node in enumerate(ODRIVE_NODES):
         heard = MOTORS["odrive"].hear(Frame(node << 5 | 0x09, struct.pack("<ff", place, speed)))
         assert (heard.leg, heard.feedback) == (leg, True)
@@ -120,7 +120,7 @@ def commands(name: str, node: int) -> list[Frame]:
 
 
 @pytest.mark.parametrize("name", MOTORS)
-def test_any_command_of_another_controller_is_foreign(name):
+def test_every_command_frame_of_another_controller_counts_as_foreign(name):
     for leg, node in enumerate(NODES.get(name, MIT_NODES)):
         for frame in commands(name, node):
             heard = MOTORS[name].hear(frame)
@@ -128,7 +128,7 @@ def test_any_command_of_another_controller_is_foreign(name):
             assert (heard.leg, heard.foreign) == (leg, True), frame
 
 
-def test_register_request_is_foreign_to_a_damiao_and_ignored_by_others():
+def test_register_request_counts_as_foreign_for_damiao_drives_and_is_ignored_for_others():
     for node in MIT_NODES:
         for request in (0x33, 0x55, 0xCC, 0xAA):
             frame = Frame(0x7FF, bytes((node, 0, request, 9, 1, 0, 0, 0)))

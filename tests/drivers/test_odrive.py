@@ -57,7 +57,7 @@ def commanded(dialogue: Remembered, mode: DriveMode, tick: int = 0) -> list[list
     return [[frame for frame in frames if frame.id >> 5 == node] for node in NODES]
 
 
-def test_states_modes_errors_and_stops_agree_with_the_vendors_frames():
+def test_odrive_states_modes_errors_and_stop_frames_agree_with_the_vendors_definitions():
     start = P.start(BRAKES)
     for sent, name in (
         (commanded(start, DriveMode.RUN)[3][0], "Set_Axis_State"),
@@ -73,7 +73,7 @@ def test_states_modes_errors_and_stops_agree_with_the_vendors_frames():
     assert P.begin(start, 0)[1] == Frame(vectors("Get_Encoder_Estimates")[0]["id"], b"", REMOTE)
 
 
-def test_command_to_each_axis_depends_on_its_own_state():
+def test_command_frame_to_each_odrive_axis_depends_on_the_state_of_that_axis():
     power = tuple(
         map(int, (DriveState.RUN, DriveState.OFF, DriveState.FAULT, DriveState.OFF, DriveState.RUN, 0))
     )
@@ -123,7 +123,7 @@ def sent_to(*frames: Frame) -> tuple[Remembered, list[tuple[DeviceMessage, ...]]
 
 
 @pytest.mark.parametrize("flags", [EXTENDED, FD, ERROR, BUS, 3 * BUS])
-def test_frame_with_other_flags_or_another_node_is_ignored(flags):
+def test_frame_with_wrong_flags_or_to_another_node_is_ignored_by_an_odrive_axis(flags):
     enabled = AXES.power_up()._replace(enabled=(True,) * 6)
     for frame in (torque(0.5), state(1), to(0x02), to(0x09, flags=REMOTE), to(0x06, flags=REMOTE), to(0x0D)):
         assert AXES.parse(enabled, frame._replace(flags=frame.flags | flags)) == (enabled, ())
@@ -138,7 +138,7 @@ def test_frame_with_other_flags_or_another_node_is_ignored(flags):
         assert AXES.addressed(frame) == ()
 
 
-def test_unknown_frame_to_an_axis_is_refused_or_ignored():
+def test_unknown_frame_to_an_odrive_axis_is_refused_or_ignored():
     taken = {0x02, 0x06, 0x07, 0x0B, 0x0E, 0x18}
     ignored = {0x00, 0x01, 0x03, 0x05, 0x08, 0x09, 0x0A, 0x14, 0x15, 0x17, 0x1C, 0x1D, 0x1E}
     for kind in set(range(32)) - taken:
@@ -153,7 +153,7 @@ def test_unknown_frame_to_an_axis_is_refused_or_ignored():
             assert (messages == REFUSED) == (size not in sizes), (hex(kind), size)
 
 
-def test_axis_closes_its_loop_only_in_torque_control():
+def test_emulated_odrive_axis_enters_closed_loop_only_in_torque_control():
     frames = [
         state(8),
         to(0x0B, struct.pack("<II", 2, 1)),
@@ -204,7 +204,7 @@ def test_axis_closes_its_loop_only_in_torque_control():
         (DriveFault.STROKE, 0x10000),
     ],
 )
-def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_only_in_run(fault, error):
+def test_heartbeat_of_an_odrive_axis_has_the_error_code_and_closed_loop_only_in_run(fault, error):
     for now in DriveState:
         _, (beat,) = AXES.report(AXES.power_up(), Status(4, now, fault))
         closed = 8 if now == DriveState.RUN else 1
@@ -223,21 +223,21 @@ def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_only_in_run(fault, e
         (0x80000000, 1, DriveState.FAULT, 0x80000100),
     ],
 )
-def test_error_of_a_heartbeat_is_a_drive_fault_or_a_code_of_the_axis(error, axis, power, fault):
+def test_error_in_an_odrive_heartbeat_becomes_a_drive_fault_or_keeps_the_axis_code(error, axis, power, fault):
     said: Any = AXES.hear(Frame(5 << 5 | 1, struct.pack("<IBBBB", error, axis, 9, 9, 9)))
     assert (said.leg, said.power, said.fault) == (4, power, fault)
     assert {said.feedback, said.broken, said.foreign} == {False}
     assert AXES.fault_text(0x2108) == "missing estimate, motor over temperature"
 
 
-def test_heartbeat_or_estimate_of_wrong_length_is_broken():
+def test_odrive_heartbeat_or_estimate_of_wrong_length_counts_as_invalid():
     for kind in (0x01, 0x09):
         for size in (0, 4, 7):
             heard = AXES.hear(to(kind, bytes(size)))
             assert (heard.leg, heard.broken, heard.feedback) == (4, True, False)
 
 
-def test_address_has_eight_bytes_and_its_own_node_and_is_no_request():
+def test_odrive_address_answer_has_eight_bytes_and_its_own_node_number():
     data = bytes.fromhex("05010203040506ff")
     assert AXES.identity(to(0x06, data)) == Said(4, "serial number", 0x060504030201)
     for other in (to(0x06, data, REMOTE), to(0x06, data[:7]), to(0x05, data), to(0x06, b"\4" + data[1:])):
@@ -249,7 +249,7 @@ def test_address_has_eight_bytes_and_its_own_node_and_is_no_request():
 # what the controller asks an axis for
 
 
-def test_axis_is_told_again_if_it_later_reports_an_open_loop():
+def test_odrive_axis_gets_the_closed_loop_request_again_if_it_later_reports_an_open_loop():
     power = (DriveState.OFF, DriveState.OFF, DriveState.RUN, DriveState.OFF, DriveState.OFF, DriveState.OFF)
     known = AXES.start(BRAKES)._replace(
         mode=int(DriveMode.RUN),
@@ -265,7 +265,7 @@ def test_axis_is_told_again_if_it_later_reports_an_open_loop():
     assert kinds == [0x07, 0x0E, 0x0E, 0x0E, 0x07, 0x0E, 0x0E, 0x0E]
 
 
-def test_axis_counts_as_enabled_after_run_until_it_reports_otherwise():
+def test_odrive_axis_counts_as_enabled_after_run_until_its_heartbeat_reports_otherwise():
     off, run, fault = int(DriveState.OFF), int(DriveState.RUN), int(DriveState.FAULT)
     power = (off, run, fault, 0, off, off)
     for before in DriveMode:
@@ -296,12 +296,12 @@ def made(layout: Any = "classic", **changes: Any) -> Any:
         ({"transmission": {"lead_m": 2000.0}, "force_limit_N": 60}, r"carries up to 10000 N m"),
     ],
 )
-def test_invalid_setting_is_refused_with_its_name(changes, message):
+def test_invalid_setting_of_odrive_drives_is_refused_with_its_key(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         made(**changes)
 
 
-def test_settings_reach_the_codec_and_estimates_default_to_10_ms():
+def test_configured_settings_reach_the_odrive_codec_and_estimates_default_to_10_ms():
     named = made(
         heartbeat_ms=125, watchdog_ms=40, options={"encoder_msg_rate_ms": 4}, node_ids=[7, 2, 0, 4, 5, 62]
     )

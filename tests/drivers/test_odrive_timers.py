@@ -58,7 +58,7 @@ def mute(frames: list[Received]) -> list[Received]:
     return [each for each in frames if each.frame.id & 0x1F != HEARTBEAT]
 
 
-def test_axis_gives_force_at_once_and_is_ready_until_its_heartbeat():
+def test_axis_gives_force_at_once_and_is_reported_ready_until_its_first_heartbeat():
     ends = line()
     ends.to_hear = mute
     for _ in range(3 * BEAT_TICKS):
@@ -73,7 +73,7 @@ def test_axis_gives_force_at_once_and_is_ready_until_its_heartbeat():
     assert ends.states() == [DriveState.RUN] * LEGS
 
 
-def test_axis_is_told_once_to_close_its_loop_and_again_if_it_stays_open():
+def test_axis_gets_one_closed_loop_request_and_another_if_its_loop_stays_open():
     assert asked_while_run(line()) == list(range(LEGS))
     ends, lost = line(), Frame(NODES[3] << 5 | AXIS_STATE, struct.pack("<Ixxxx", 8))
     ends.to_obey = lambda frames: [frame for frame in frames if frame != lost]
@@ -92,7 +92,7 @@ def test_axis_is_told_once_to_close_its_loop_and_again_if_it_stays_open():
 
 @pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.OFF])
 @pytest.mark.parametrize("ticks", [1, 2, BEAT_TICKS // 2])
-def test_axis_enabled_for_less_than_a_heartbeat_counts_as_enabled(mode, ticks):
+def test_axis_enabled_for_less_than_a_heartbeat_period_counts_as_enabled_until_it_reports(mode, ticks):
     ends = line()
     ends.to_hear = mute
     for _ in range(ticks):
@@ -109,7 +109,7 @@ def test_axis_enabled_for_less_than_a_heartbeat_counts_as_enabled(mode, ticks):
 
 
 @pytest.mark.parametrize("anew", [False, True])
-def test_reset_clears_errors_that_axes_have_not_yet_reported(anew):
+def test_reset_clears_errors_that_odrive_axes_have_not_yet_reported(anew):
     ends = line()
     ends.to_hear = mute
     ends.step(OFF, first=ends.protocol.traits.emergency_stop)
@@ -166,14 +166,14 @@ BEFORE = tuple((-500_000, estimate(leg, 7.0)) for leg in range(LEGS))
 
 
 @pytest.mark.parametrize("leg", range(LEGS))
-def test_newest_estimate_counts_but_not_one_from_before_the_poll(leg):
+def test_newest_position_estimate_after_the_poll_is_used_and_earlier_ones_are_not(leg):
     tick = heard(ready(), *BEFORE, *ANSWERS, (400_000, estimate(leg, 0.9)))
     expected = np.array([0.9 if each == leg else 0.1 * each for each in range(LEGS)])
     np.testing.assert_allclose(tick["length"], GEAR.length(expected), rtol=1e-6)
     assert (tick["doubled"], tick["rejected"], tick["age"].tolist()) == (0, 0, [0] * LEGS)
 
 
-def test_second_and_late_estimates_count_as_errors_without_a_timer():
+def test_second_and_late_estimates_count_as_errors_if_the_axis_sends_none_by_timer():
     tick = heard(ready(0.0), BEFORE[0], *ANSWERS, (400_000, estimate(3, 0.9)))
     assert (tick["doubled"], tick["rejected"]) == (1 << 3, 1)
 
@@ -202,7 +202,7 @@ def configured(options: dict[str, int], **bus: Any) -> Any:
     ("options", "rate_Hz", "frames"),
     [({}, 312.5, 1), ({}, 200.0, 3), ({}, 100.0, 6), ({}, 50.0, 12), ({"encoder_msg_rate_ms": 0}, 50.0, 0)],
 )
-def test_unrequested_estimates_of_every_tick_are_in_the_bus_budget(options, rate_Hz, frames):
+def test_estimates_that_axes_send_by_timer_are_in_the_bus_budget_of_every_period(options, rate_Hz, frames):
     found = timed_feedbacks(configured(options), rate_Hz)
     assert [(len(frame.data), frame.flags) for frame in found] == [(8, 0)] * frames
     channels = [{"channel": "a", "legs": [0, 1, 2, 3]}, {"channel": "b", "legs": [4, 5]}]
@@ -210,7 +210,7 @@ def test_unrequested_estimates_of_every_tick_are_in_the_bus_budget(options, rate
     assert sorted(frame.bus for frame in there) == ([] if options else [0, 0, 0, 0, 1, 1])
 
 
-def test_unrequested_estimates_cost_135_bits_and_certainty_of_lengths():
+def test_estimates_sent_by_timer_cost_135_bits_each_and_widen_the_encoder_alarm_limits():
     c, waits, shares = family("odrive"), [], []
     for unasked_ms in (0, 10):
         drives = c.drives.model_copy(update={"options": {"encoder_msg_rate_ms": unasked_ms}})
@@ -221,7 +221,7 @@ def test_unrequested_estimates_cost_135_bits_and_certainty_of_lengths():
     assert shares == [0.3, 0.6]
 
 
-def test_newest_estimate_gives_the_latest_time_of_its_poll():
+def test_time_of_the_newest_estimate_bounds_the_time_of_its_poll_from_above():
     """The bus reports the acceptance of frames, slowly: the first estimate may come from the timer."""
     protocol = ready().protocol
     polls = protocol.begin(protocol.start(SETUP._replace(reaction=Reaction.BRAKE)), 0)

@@ -87,7 +87,7 @@ class TestStub(ProtocolContract):
     def family(self):
         return StubProtocol([4096, 513, 770, 1027, 1284, 65535])
 
-    def test_own_fault_codes_pass_through_and_polls_replace_sync(self, protocol):
+    def test_protocol_of_another_package_may_have_own_fault_codes_and_polls_in_place_of_sync(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         for _ in range(3):
@@ -137,7 +137,7 @@ def recorded(tmp_path_factory):
     return summary, Log.open(path)
 
 
-def test_unrelated_protocol_runs_and_replays_to_the_bit(recorded):
+def test_run_with_a_protocol_of_another_package_replays_to_the_bit(recorded):
     summary, log = recorded
     assert summary["success"], summary
     rows = log.rows()
@@ -149,7 +149,7 @@ def test_unrelated_protocol_runs_and_replays_to_the_bit(recorded):
     assert summary["replay"]["ticks"] == len(rows)
 
 
-def test_frames_and_database_of_the_protocol_are_in_the_log(recorded):
+def test_frames_and_dbc_database_of_the_drive_protocol_are_in_the_log(recorded):
     _, log = recorded
     assert log.attachments["stub.dbc"] == b'VERSION ""\n'
     assert "legs.dbc" not in log.attachments
@@ -162,7 +162,7 @@ def test_frames_and_database_of_the_protocol_are_in_the_log(recorded):
     assert sizes[-1] == 6
 
 
-def test_failed_loop_switches_off_drives_whose_poll_is_the_command(row):
+def test_exception_in_the_control_loop_switches_off_drives_that_are_polled_by_their_command(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     run = Command(DriveMode.RUN, np.full(6, 100.0))
     cycle.end.give(run, 0)
@@ -174,7 +174,7 @@ def test_failed_loop_switches_off_drives_whose_poll_is_the_command(row):
 
 
 @pytest.mark.parametrize("change", [(NODES, STUB_NODES), (NODES, NODES)])
-def test_lockstep_waits_until_its_deadline_for_fresh_feedback(row, change):
+def test_simulated_run_waits_for_fresh_drive_feedback_until_its_deadline(row, change):
     c = configuration(change)
     nodes, plant = build_nodes(c)
     lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, (BitTiming.of(c.bus),), 0.01)
@@ -189,7 +189,7 @@ def test_lockstep_waits_until_its_deadline_for_fresh_feedback(row, change):
         plant.close()
 
 
-def test_drive_with_incomplete_set_up_is_reported_and_reset_restarts_it(row):
+def test_drive_with_incomplete_set_up_is_reported_and_a_reset_restarts_its_set_up(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
     end: Any = cycle.end
@@ -220,7 +220,7 @@ def test_invalid_settings_of_each_protocol_are_refused(row, changes, message):
     assert any(re.search(message, problem) for problem in caught.value.problems), caught.value.problems
 
 
-def test_sensors_get_a_sync_for_their_stamp_where_the_drives_send_none(row):
+def test_sync_for_sensor_time_stamps_is_sent_if_the_drive_protocol_has_none(row):
     sensors = (
         ("layout: classic  ", "layout: fd  "),
         ("recording:\n", "sensors:\n  imu: {rate_Hz: 50}\n\nrecording:\n"),
@@ -231,7 +231,7 @@ def test_sensors_get_a_sync_for_their_stamp_where_the_drives_send_none(row):
         assert own.syncs(build_protocol(c.bus, c.drives)) == sent
 
 
-def test_bus_index_is_in_the_flags_and_bus_0_changes_no_byte():
+def test_frame_flags_contain_the_bus_index_and_are_unchanged_for_bus_0():
     frame = Frame(0x181, b"\1\2", FD)
     assert (frame.bus, Frame(0x181, b"", FD | 3 << 8).bus) == (0, 3)
     content = received_array([Received(5, frame)]).tobytes()

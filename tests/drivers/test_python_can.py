@@ -99,7 +99,7 @@ OWN = {"bitrate": 250_000, "data_bitrate": 4_000_000, "fd": False, "single_handl
         ({"interface": "udp_multicast", "layout": "classic"}, {"hop_limit": 0}),
     ],
 )
-def test_bus_is_opened_with_the_bit_rates_of_its_layout_or_options(monkeypatch, changes, expected):
+def test_python_can_bus_is_opened_with_the_bit_rates_of_its_layout_or_options(monkeypatch, changes, expected):
     """Files and environment of python-can are ignored: they may set a bit rate for other work."""
     opened: list[Any] = []
 
@@ -117,7 +117,7 @@ def test_bus_is_opened_with_the_bit_rates_of_its_layout_or_options(monkeypatch, 
 
 @pytest.mark.parametrize("interface", ["kvaser", "slcan", "udp_multicast"])
 @pytest.mark.parametrize("age_s", [0.0, 0.9, -3e-4, 1e6])
-def test_frame_has_the_time_of_its_reading(monkeypatch, interface, age_s):
+def test_frame_received_through_python_can_has_the_time_at_which_it_was_read(monkeypatch, interface, age_s):
     """Its own time stamp is ignored: it may come from the adapter's clock."""
     coming: Any = Adapter(can.Message(timestamp=time.time() - age_s, arbitration_id=1))
     monkeypatch.setattr(can, "Bus", lambda *_, **__: coming)
@@ -131,7 +131,7 @@ def test_frame_has_the_time_of_its_reading(monkeypatch, interface, age_s):
 # what is heard and sent
 
 
-def test_frames_are_sent_without_waiting_until_one_is_refused():
+def test_frames_are_sent_through_python_can_without_waiting_until_one_is_refused():
     adapter = Adapter()
     bus = on(adapter)
     before_ns = time.monotonic_ns()
@@ -145,7 +145,7 @@ def test_frames_are_sent_without_waiting_until_one_is_refused():
         bus.send(sent_array(PAIR))
 
 
-def test_bus_that_failed_is_off_until_it_accepts_frames_again():
+def test_python_can_bus_that_failed_counts_as_off_until_it_accepts_frames_again():
     adapter = Adapter()
     bus = on(adapter)
     for _ in range(2):
@@ -157,7 +157,7 @@ def test_bus_that_failed_is_off_until_it_accepts_frames_again():
         assert (bus.send(sent_array(PAIR)), bus.off) == (2, False)
 
 
-def test_an_echo_of_an_own_frame_is_ignored():
+def test_python_can_echo_of_a_sent_frame_is_ignored():
     echo = message(0x80, is_rx=False)
     assert heard(on(Adapter(echo, message(1), echo, echo, message(2)))) == [1, 2]
     bus = on(Adapter(echo))
@@ -166,13 +166,13 @@ def test_an_echo_of_an_own_frame_is_ignored():
 
 
 @pytest.mark.parametrize("error", GARBLED, ids=repr)
-def test_an_unreadable_message_is_one_lost_frame(error):
+def test_unreadable_python_can_message_counts_as_one_lost_frame(error):
     bus = on(Adapter(error, message(1), None, *[error, message(2)] * 20))
     assert (heard(bus), bus.overflow, bus.off) == ([1], 1, False)
     assert (heard(bus), bus.overflow, bus.off) == ([2] * 20, 21, False)
 
 
-def test_reading_ends_although_frames_arrive_without_end():
+def test_reading_from_python_can_ends_although_frames_arrive_without_end():
     adapter = Adapter(last=message(7))
     bus = on(adapter)
     for _ in range(2):
@@ -181,7 +181,7 @@ def test_reading_ends_although_frames_arrive_without_end():
 
 
 @pytest.mark.parametrize(("failures", "off"), [(7, False), (8, True)])
-def test_interface_counts_as_gone_after_eight_consecutive_failures(failures, off):
+def test_python_can_interface_counts_as_lost_after_eight_consecutive_failures(failures, off):
     adapter = Adapter(None)
     bus = on(adapter)
     heard(bus)
@@ -191,20 +191,20 @@ def test_interface_counts_as_gone_after_eight_consecutive_failures(failures, off
 
 
 @pytest.mark.parametrize("error", [*GARBLED, OSError("gone")], ids=repr)
-def test_interface_that_only_fails_is_off_at_the_first_reading(error):
+def test_python_can_interface_that_only_fails_counts_as_off_at_the_first_reading(error):
     adapter = Adapter(last=error)
     bus = on(adapter)
     assert (heard(bus), bus.off) == ([], True)
     looks, lost = adapter.looks, bus.overflow
     assert heard(bus) == []
-    assert (adapter.looks, bus.overflow) == (looks + 1, lost), "it is polled once"
+    assert (adapter.looks, bus.overflow) == (looks + 1, lost), "the adapter is polled once"
 
 
 # the end
 
 
 @pytest.mark.parametrize("error", [can.CanOperationError("port"), OSError("usb"), AttributeError("handle")])
-def test_error_while_closing_does_not_end_the_run_or_keep_the_role(error):
+def test_error_while_a_python_can_bus_closes_is_ignored_and_releases_the_role(error):
     given: list[str] = []
     role: Any = SimpleNamespace(close=lambda: given.append("back"))
     adapter = Adapter(raises=error)
@@ -240,7 +240,7 @@ def write(line: tuple[PythonCan, int], data: bytes) -> None:
     assert any(port.in_waiting == len(data) for _ in range(1_000_000))
 
 
-def test_one_reading_gives_all_frames_after_confirmation_lines(line):
+def test_one_reading_of_a_slcan_adapter_gives_all_frames_after_confirmation_lines(line):
     bus, _ = line
     write(line, b"\r" * 12 + b"t1232AABB\r" + b"z\r" * 6 + b"t1241CC\r" + b"\r")
     assert [each.frame for each in got(bus.receive())] == [Frame(0x123, b"\xaa\xbb"), Frame(0x124, b"\xcc")]
@@ -248,14 +248,14 @@ def test_one_reading_gives_all_frames_after_confirmation_lines(line):
 
 
 @pytest.mark.parametrize("garbled", [b"t12", b"t12G2AABB", b"t1232AAB", b"t123XAABB", b"t1232\xff\xfe"])
-def test_a_damaged_line_is_one_lost_frame(line, garbled):
+def test_damaged_line_of_a_slcan_adapter_counts_as_one_lost_frame(line, garbled):
     bus, _ = line
     write(line, garbled + b"\r" + b"t1241CC\r" * 6)
     assert heard(bus) == [0x124] * 6
     assert (bus.overflow, bus.off) == (1, False)
 
 
-def test_unplugged_adapter_is_off_and_closes_without_error(line):
+def test_bus_of_an_unplugged_adapter_counts_as_off_and_closes_without_error(line):
     bus, adapter = line
     os.close(adapter)
     assert (heard(bus), bus.off) == ([], True)

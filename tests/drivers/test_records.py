@@ -49,7 +49,7 @@ def look(given: dict[str, Any]) -> int:
     return _look(*given.values())
 
 
-def test_kernel_reads_its_arguments_and_fills_its_outputs():
+def test_compiled_kernel_reads_its_arguments_and_fills_its_output_arrays():
     for kind in (np.int64, np.longlong, "<i8"):
         given = arguments(integers=np.arange(4).astype(kind))
         assert look(given) == 18
@@ -80,7 +80,7 @@ READ_ONLY.flags.writeable = False
         ("flags", np.zeros(4, np.uint8)), ("out", READ_ONLY), ("rows", np.zeros((3, 2)).T), ("marks", np.zeros(4)),
     ],
 )  # fmt: skip
-def test_argument_of_another_type_is_refused_and_outputs_stay_empty(name, value):
+def test_kernel_refuses_an_argument_of_wrong_type_and_leaves_its_outputs_unchanged(name, value):
     given = arguments(**{name: value})
     with pytest.raises(TypeError):
         look(given)
@@ -92,7 +92,7 @@ def _change(vector: Any) -> None:
     vector[0] = 1.0
 
 
-def test_read_only_argument_cannot_be_passed_to_a_kernel_that_writes():
+def test_kernel_cannot_pass_a_read_only_argument_to_a_kernel_that_writes():
     def lends(vector: Any) -> None:
         _change(vector)
 
@@ -120,7 +120,7 @@ def _sum(points: Any) -> float:
     return total
 
 
-def test_kernel_accepts_records_of_its_type_and_refuses_others():
+def test_kernel_accepts_records_of_its_declared_type_and_refuses_other_arguments():
     points = np.zeros(4, POINT)
     points["x"], points["n"] = (1.0, 2.0, 4.0, 8.0), 7
     for k, x in enumerate(points["x"].tolist()):

@@ -19,7 +19,7 @@ def test_package_that_cannot_be_imported_is_refused_with_its_entry_point(monkeyp
         loaded("hil.laws", "broken")
 
 
-def test_name_registered_by_two_packages_is_refused_and_lists_both(tmp_path):
+def test_entry_point_name_registered_by_two_packages_is_refused_with_both_packages(tmp_path):
     for name in ("first", "second"):
         installed = tmp_path / f"{name}-1.dist-info"
         installed.mkdir()
@@ -32,7 +32,7 @@ def test_name_registered_by_two_packages_is_refused_and_lists_both(tmp_path):
     assert "second:Mine" in done.stderr
 
 
-def test_settings_of_a_law_get_the_name_of_its_entry_point():
+def test_settings_class_of_a_control_law_gets_the_name_of_its_entry_point():
     class Mine(LawSettings):
         gain: float
 

@@ -41,7 +41,7 @@ def parsed(*frames: Frame) -> tuple[Remembered, list[Any]]:
     return memory, found
 
 
-def test_short_frame_is_refused_and_an_unknown_one_is_ignored():
+def test_robstride_drive_refuses_a_short_frame_and_ignores_an_unknown_frame():
     assert parsed(to(3), to(4, b"\2" + bytes(7)))[1][1] == (command(3, DriveMode.OFF, 3), *SYNC), (
         "no clearing"
     )
@@ -53,7 +53,7 @@ def test_short_frame_is_refused_and_an_unknown_one_is_ignored():
     assert parsed(Frame(3 << 24 | 253 << 8 | 6, bytes(8), EXTENDED))[1] == [()]
 
 
-def test_run_mode_is_written_and_read_back_and_another_register_is_refused():
+def test_emulated_robstride_accepts_and_returns_its_run_mode_and_refuses_other_registers():
     read, write = to(17, parameter(0x7005)), to(18, parameter(0x7005, 2))
     memory, found = parsed(read, write, read, to(17, parameter(0x7006)), to(18, parameter(0x7006)))
 
@@ -68,7 +68,7 @@ def test_run_mode_is_written_and_read_back_and_another_register_is_refused():
 
 
 @pytest.mark.parametrize("leg", range(LEGS))
-def test_answer_with_the_written_run_mode_completes_the_set_up(leg):
+def test_answer_with_the_written_run_mode_completes_the_set_up_of_a_robstride_drive(leg):
     last, dialogue = at_tick(0), P.start(SETUP)._replace(done=(1,) * LEGS, power=(1,) * LEGS)
     last["age"] = 0
     # the mode is one byte
@@ -81,7 +81,7 @@ def test_answer_with_the_written_run_mode_completes_the_set_up(leg):
 
 
 @pytest.mark.parametrize("status", [1, 2, 255])
-def test_refused_read_confirms_nothing_and_is_reported(status):
+def test_refused_register_read_does_not_complete_the_set_up_and_is_reported(status):
     last, dialogue = at_tick(0), P.start(SETUP)._replace(done=(1,) * LEGS, power=(1,) * LEGS)
     last["age"] = 0
     refused = Frame(17 << 24 | status << 16 | NODES[3] << 8 | 253, parameter(0x7005), EXTENDED)
@@ -97,7 +97,7 @@ def test_refused_read_confirms_nothing_and_is_reported(status):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_drive_reports_its_identity_to_any_controller(leg):
+def test_robstride_drive_reports_its_identity_to_any_controller(leg):
     assert P.traits.identity_requests == (tuple(to(0, leg=each) for each in range(6)),)
     _, ((answer,),) = parsed(P.traits.identity_requests[0][leg])
     assert answer == Answer(leg, Frame(NODES[leg] << 8 | 0xFE, bytes((NODES[leg], *bytes(7))), EXTENDED))
@@ -137,7 +137,7 @@ def sent(**changes: Any) -> list[tuple[int, Frame]]:
         (DriveFault.STROKE, 16),
     ],
 )
-def test_identifier_of_a_feedback_has_state_and_faults(fault, bits):
+def test_state_and_faults_are_in_the_identifier_of_a_robstride_feedback_frame(fault, bits):
     faults = np.array([0, 0, fault, 0, 0, 0])
     for state in DriveState:
         states = np.array([1, 1, state | INVALID, 1, 1, 1])
@@ -154,7 +154,7 @@ def feedback(mode: int, faults: int, data: bytes = b"\x80\0\x80\0\x80\0\0\xfa") 
     return P.hear(Frame(2 << 24 | mode << 22 | faults << 16 | 4 << 8 | 253, data, EXTENDED))
 
 
-def test_feedback_gives_state_and_faults_but_no_position_at_either_end():
+def test_robstride_feedback_at_either_end_of_its_position_field_gives_state_but_no_position():
     for mode, faults, power, fault in (
         (0, 0, DriveState.OFF, 0),
         (1, 0, DriveState.OFF, 0),
@@ -171,7 +171,7 @@ def test_feedback_gives_state_and_faults_but_no_position_at_either_end():
         assert (heard.motion is not None) == there
 
 
-def test_frame_to_another_controller_is_ignored_and_a_short_one_broken():
+def test_robstride_frame_to_another_controller_is_ignored_and_a_short_frame_is_invalid():
     assert feedback(2, 0, bytes(7)) == Heard(3, broken=True)
     assert P.hear(Frame(17 << 24 | 4 << 8 | 253, bytes(7), EXTENDED)) == Heard(3, broken=True)
     assert P.hear(Frame(2 << 24 | 4 << 8 | 252, bytes(8), EXTENDED)) is None

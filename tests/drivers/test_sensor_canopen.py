@@ -143,7 +143,7 @@ TYPES = {"sync": 1, "cyclic": 254, "change": 255}
 
 
 @pytest.mark.parametrize("name", LEGS)
-def test_local_node_accepts_our_set_up_and_its_pdo_gives_the_value_of_its_leg(name, buses):
+def test_encoder_of_the_python_package_canopen_is_set_up_and_its_pdo_gives_the_leg_length(name, buses):
     role, device, pdo, objects, raw, expected = LEGS[name]
     protocol = protocol_of(role, {"rate_Hz": 100, "device": device | {"pdo": pdo}})
     bus = Bus(NODE, dictionary(pdo, objects))
@@ -167,7 +167,7 @@ def test_local_node_accepts_our_set_up_and_its_pdo_gives_the_value_of_its_leg(na
     assert reception.slots["last"][slot][0] == pytest.approx(expected, abs=1e-6)
 
 
-def test_pdo_of_a_local_inclinometer_node_gives_roll_and_pitch(buses):
+def test_pdo_of_an_inclinometer_of_the_python_package_canopen_gives_roll_and_pitch(buses):
     device: dict[str, Any] = {"protocol": "dbc", "file": "cia410.dbc"}
     device |= {"signals": {"roll": "SlopeLong", "pitch": "SlopeLateral"}, "latency_ms": 5}
     protocol = protocol_of("inclination", {"rate_Hz": 100, "device": device})

@@ -121,7 +121,7 @@ class TestLegsOfOneMessageByDbc(SensorContract):
     RESOLUTION = 3e-5
     FOLDER = ROOT
 
-    def test_emulated_device_sends_all_legs_of_a_message_in_one_frame(self, protocol):
+    def test_emulated_sensor_with_one_message_for_several_legs_sends_them_in_one_frame(self, protocol):
         _, frames, _ = self.run(protocol, 100, lost_percent=30)
         ours = joined(frames)
         assert set(ours["id"].tolist()) == {700, 701, 702}

@@ -64,7 +64,7 @@ def canopen(protocol: str, node: int, **keys: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "v", of("CiA 406", "TPDO1: position value", "TPDO2: position value"), ids=lambda v: v["what"]
 )
-def test_cia406_positions_are_decoded_as_canopen_wrote_them(v):
+def test_cia406_encoder_positions_written_by_the_python_package_canopen_are_decoded(v):
     value, pdo = v["decoded"]["values"][0], 2 if "TPDO2" in v["what"] else 1
     step, zero = 2.5e-6, 0.4
     settings = canopen("cia406", v["decoded"]["node"], pdo=pdo, step_m=step, zero_m=zero)
@@ -72,7 +72,7 @@ def test_cia406_positions_are_decoded_as_canopen_wrote_them(v):
 
 
 @pytest.mark.parametrize("v", of("CiA 406", "Temposonics E default"), ids=lambda v: v["what"])
-def test_magnetostrictive_position_is_signed_and_its_pdo_may_be_longer(v):
+def test_position_of_a_magnetostrictive_sensor_is_signed_and_its_pdo_may_be_longer(v):
     settings = canopen("cia406", 127, step_m=1e-9, format="int32")
     expected = 1e-9 * v["decoded"]["position_steps"]
     assert last("lengths", settings, LENGTH, frame(v))[0] == pytest.approx(expected, abs=1e-15)
@@ -86,7 +86,7 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize("what", WRITTEN)
-def test_set_up_of_canopen_sensors_is_written_as_canopen_writes_it(what):
+def test_set_up_frames_of_canopen_sensors_equal_those_of_the_python_package_canopen(what):
     for v in of("CiA 406", what) + of("CiA 410", what):
         inputs, (index, size) = v["inputs"], WRITTEN[what]
         assert int(inputs["index"], 16) == index
@@ -96,7 +96,7 @@ def test_set_up_of_canopen_sensors_is_written_as_canopen_writes_it(what):
 @pytest.mark.parametrize(
     ("trigger", "objects"), [("sync", {2: 1}), ("cyclic", {2: 254, 5: 4}), ("change", {2: 255, 3: 40})]
 )
-def test_canopen_sensor_is_set_up_in_pre_operational_and_then_started(trigger, objects):
+def test_canopen_sensor_is_configured_in_pre_operational_and_then_started(trigger, objects):
     settings = canopen("cia406", 3, step_m=1e-6, trigger=trigger) | {"rate_Hz": 250}
     protocol = SensorProtocol(BusSettings(), SensorSettings.model_validate({"lengths": settings}))
     first, *writes, start = protocol.sensors[LENGTH].device.start
@@ -107,7 +107,7 @@ def test_canopen_sensor_is_set_up_in_pre_operational_and_then_started(trigger, o
 
 
 @pytest.mark.parametrize("v", of("CiA 404"), ids=lambda v: v["what"])
-def test_load_cell_is_decoded_as_its_manual_says(v):
+def test_load_cell_frame_is_decoded_according_to_its_manual(v):
     settings = canopen("cia404", 5, pdo=2, scale_N=-9.80665)
     assert last("forces", settings, FORCE, frame(v))[0] == pytest.approx(-9.80665 * v["decoded"]["measure"])
 
@@ -116,7 +116,7 @@ INCLINED = {"roll": "SlopeLong", "pitch": "SlopeLateral"}
 
 
 @pytest.mark.parametrize("v", of("CiA 410", "resolution 10"), ids=lambda v: v["what"])
-def test_cia410_inclinometer_is_decoded_by_the_dbc_of_the_guide(v):
+def test_cia410_inclinometer_is_decoded_by_the_dbc_file_of_the_guide(v):
     if v["decoded"]["resolution_0x6000"] == 10:
         found = last("inclination", by_dbc(f"{EXAMPLES}/cia410.dbc", INCLINED), INCLINATION, frame(v))
         expected = [v["decoded"]["long_deg"], v["decoded"]["lateral_deg"]]
@@ -127,7 +127,7 @@ GYRO, ACCEL = ("gyrX", "gyrY", "gyrZ"), ("accX", "accY", "accZ")
 
 
 @pytest.mark.parametrize("high_rate", [False, True])
-def test_xsens_rates_and_accelerations_are_one_sample(high_rate):
+def test_xsens_rate_and_acceleration_frames_are_combined_into_one_imu_sample(high_rate):
     word = "HR" if high_rate else ""
     names = [f"Hr{n[0].upper()}{n[1:]}" if high_rate else n for n in (*GYRO, *ACCEL)]
     (rate,) = of("Xsens", f"RateOfTurn{word} rad/s")
@@ -147,7 +147,7 @@ def test_xsens_rates_and_accelerations_are_one_sample(high_rate):
 
 
 @pytest.mark.parametrize("what", ["RateOfTurn ends", "Euler angles"])
-def test_xsens_ends_and_angles_are_decoded(what):
+def test_xsens_values_at_the_ends_of_their_range_and_angles_are_decoded(what):
     (v,) = of("Xsens", what)
     if "Euler" in what:
         settings = by_dbc(f"{EXAMPLES}/xsens_mti.dbc", {"roll": "roll", "pitch": "pitch"})
@@ -159,7 +159,7 @@ def test_xsens_ends_and_angles_are_decoded(what):
 
 
 @pytest.mark.parametrize("v", of("IMU on J1939"), ids=lambda v: v["what"])
-def test_j1939_imu_is_decoded_by_extended_identifier(v):
+def test_j1939_imu_frame_is_decoded_by_its_extended_identifier(v):
     file, decoded = f"{EXAMPLES}/j1939_imu.dbc", v["decoded"]
     if v["what"].startswith("ACCS"):
         names = dict(zip(("fx", "fy", "fz"), ("AccX", "AccY", "AccZ"), strict=True))
@@ -181,7 +181,7 @@ def test_j1939_imu_is_decoded_by_extended_identifier(v):
 
 
 @pytest.mark.parametrize("v", of("IMU by DBC"), ids=lambda v: v["what"])
-def test_big_endian_fields_off_the_byte_are_decoded_and_validity_is_kept(v):
+def test_big_endian_fields_across_byte_limits_are_decoded_with_their_validity_bit(v):
     n, inputs = (1, v["inputs"]) if v["id"] == 308 else (2, v["inputs"])
     names = {
         f"w{axis}": f"Inertial{n}{q}Rte" for axis, q in zip("xyz", ("Roll", "Pitch", "Yaw"), strict=True)
@@ -193,7 +193,7 @@ def test_big_endian_fields_off_the_byte_are_decoded_and_validity_is_kept(v):
 
 
 @pytest.mark.parametrize("what", ["acceleration m/s^2", "rates", "Euler rad"])
-def test_sbg_values_are_decoded_in_stated_units(what):
+def test_sbg_imu_values_are_decoded_in_the_units_of_the_dbc(what):
     for v in of("SBG", what):
         decoded = list(v["decoded"].values())
         if "Euler" in what:
@@ -208,7 +208,7 @@ def test_sbg_values_are_decoded_in_stated_units(what):
         assert last("imu", settings, IMU, frame(v))[at : at + 3] == pytest.approx(decoded)
 
 
-def test_jr3_force_and_moment_are_one_sample():
+def test_jr3_force_and_moment_frames_are_combined_into_one_wrench_sample():
     forces, moments = of("JR3", "force data"), of("JR3", "moment data")
     assert len(forces) == len(moments) == 4
     for force, moment in zip(forces, moments, strict=True):
@@ -233,7 +233,7 @@ def ati_matrix() -> np.ndarray[Any, Any]:
     return matrix
 
 
-def test_ati_samples_of_a_recording_are_decoded_although_status_bit_14_is_set():
+def test_recorded_ati_wrench_samples_are_decoded_although_status_bit_14_is_set():
     matrix = ati_matrix()
     known = ~np.isnan(matrix).any(axis=1)
     assert known.tolist() == [False, False, True, False, False, False]
@@ -250,7 +250,7 @@ def test_ati_samples_of_a_recording_are_decoded_although_status_bit_14_is_set():
     assert biased == pytest.approx([0.0] * 6, abs=1e-12)
 
 
-def test_ati_status_bit_15_and_half_of_a_sample_give_no_wrench():
+def test_ati_sample_with_status_bit_15_or_only_one_of_its_frames_gives_no_wrench():
     device = {"protocol": "ati", "matrix": np.eye(6).tolist(), "calibration": 0}
     first, second = frame(of("ATI", "first packet")[1]), frame(of("ATI", "second packet")[0])
     spoiled = first._replace(data=b"\xc0\x00" + first.data[2:])
@@ -290,7 +290,7 @@ def test_every_signal_of_a_dbc_is_decoded_as_cantools_does(file):
                     assert found.record["rejected"] == 6, name
 
 
-def test_multiplexed_signal_counts_with_its_selector_only():
+def test_multiplexed_dbc_signal_is_decoded_only_with_its_selector_value():
     settings = by_dbc(DATA, dict.fromkeys(LEGS, "Position"), offsets={"leg_0": 0.5}, negative=["leg_1"])
     data = b"\x02" + (-1500).to_bytes(4, "little", signed=True) + bytes(3)
     found = heard("lengths", settings, Frame(600, data), Frame(600, b"\x01" + data[1:]))
@@ -311,7 +311,7 @@ def test_multiplexed_signal_counts_with_its_selector_only():
         ({"file": "tests/data/README.md", "signals": {"roll": "x"}}, "README.md is not a DBC"),
     ],
 )
-def test_incomplete_mapping_is_refused_in_one_line(device, message):
+def test_incomplete_mapping_of_dbc_signals_to_a_sensor_is_refused_in_one_line(device, message):
     settings = by_dbc(f"{EXAMPLES}/cia410.dbc", {})["device"] | device
     sensors = SensorSettings.model_validate({"inclination": {"device": settings}})
     with pytest.raises(ConfigurationError, match=rf"sensors\.inclination\.device\..*{message}") as raised:
@@ -320,7 +320,7 @@ def test_incomplete_mapping_is_refused_in_one_line(device, message):
 
 
 @pytest.mark.parametrize("quality", [0, 3])
-def test_status_in_a_message_of_its_own_marks_the_sample(quality):
+def test_sensor_status_in_a_separate_message_marks_the_sample_as_invalid(quality):
     signals = {leg: f"L{n}" for n, leg in enumerate(LEGS)}
     settings = by_dbc(DATA, signals, valid={"Fault": 0})
     data, status = Frame(700, b"\x20\x4e" * 4), Frame(702, bytes([quality]))
@@ -332,14 +332,14 @@ def test_status_in_a_message_of_its_own_marks_the_sample(quality):
 @pytest.mark.parametrize(
     ("trigger", "rate_Hz"), [("cyclic", 2000), ("cyclic", 0.01), ("change", 0.1), ("cyclic", 300)]
 )
-def test_rate_beyond_the_timer_of_a_pdo_is_refused(trigger, rate_Hz):
+def test_sensor_rate_beyond_the_range_of_the_pdo_event_timer_is_refused(trigger, rate_Hz):
     settings = canopen("cia406", 3, step_m=1e-6, trigger=trigger) | {"rate_Hz": rate_Hz}
     with pytest.raises(ConfigurationError, match=r"sensors\.lengths\.device\.trigger: .*allowed") as raised:
         SensorProtocol(BusSettings(), SensorSettings.model_validate({"lengths": settings}))
     assert "\n" not in str(raised.value)
 
 
-def test_set_up_of_a_sensor_never_goes_to_a_drive():
+def test_set_up_frames_of_a_sensor_are_never_addressed_to_a_drive():
     settings = canopen("cia406", 3, step_m=1e-6, pdo=4, trigger="cyclic")
     sensors = SensorProtocol(BusSettings(), SensorSettings.model_validate({"lengths": settings}))
     with pytest.raises(ConfigurationError, match=r"identifier 0x603 is also that of a drive"):

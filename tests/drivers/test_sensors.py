@@ -45,7 +45,7 @@ def damaged(frame, bit):
 @given(
     data=st.data(), tick=st.integers(300, 1 << 40), behind=st.integers(0, OLDEST), counter=st.integers(0, 99)
 )
-def test_sample_arrives_with_its_values_and_the_tick_of_its_sync(kind, data, tick, behind, counter):
+def test_sensor_sample_has_its_values_and_the_period_of_its_sync(kind, data, tick, behind, counter):
     ends = {"tracker": (214.0, 1.8), "imu": (6.5, 65.5), "wrench": (2e6, 2e6)}[kind]
     values = tuple(data.draw(st.floats(-end, end)) for end in np.repeat(ends, 3))
     offset = data.draw(st.floats(0, 0.0655))
@@ -59,7 +59,7 @@ def test_sample_arrives_with_its_values_and_the_tick_of_its_sync(kind, data, tic
 
 
 @every_kind
-def test_sample_with_a_flipped_bit_or_wrong_length_is_refused(kind):
+def test_sensor_frame_with_a_flipped_bit_or_wrong_length_is_refused(kind):
     frame = sample(kind, 5, 1)
     for bit in range(8 * len(frame.data)):
         assert decode(5, damaged(frame, bit)) == Readings(rejected=1)
@@ -69,7 +69,7 @@ def test_sample_with_a_flipped_bit_or_wrong_length_is_refused(kind):
 
 @every_kind
 @pytest.mark.parametrize("flag", [EXTENDED, REMOTE])
-def test_frames_of_other_kinds_and_identifiers_are_ignored(kind, flag):
+def test_frames_that_are_not_of_a_sensor_are_ignored(kind, flag):
     frame = sample(kind, 5, 1)
     others = frame._replace(flags=frame.flags | flag), Frame(frame.id + 1, frame.data, FD)
     assert decode(5, *others) == Readings()
@@ -79,13 +79,13 @@ def test_frames_of_other_kinds_and_identifiers_are_ignored(kind, flag):
     ("tick", "stamp", "counts"),
     [(300, 301, 0), (300, 300, 1), (300, 173, 1), (300, 172, 0), (3, 255, 0), (3, 0, 1)],
 )
-def test_stamp_in_the_future_or_too_old_is_refused(tick, stamp, counts):
+def test_sensor_sample_with_a_time_stamp_in_the_future_or_too_old_is_refused(tick, stamp, counts):
     readings = decode(tick, sample("tracker", stamp, 1))
     assert (len(readings.tracker), readings.rejected) == (counts, 1 - counts)
 
 
 @every_kind
-def test_a_gap_in_the_counter_counts_as_lost_and_a_repetition_is_ignored(kind):
+def test_gap_in_the_sample_counter_counts_as_lost_samples_and_a_repetition_is_ignored(kind):
     others = [sample(each, 9, counter) for each, counter in zip(KINDS, (1, 14, 1), strict=True)]
     first = decode(
         10, sample(kind, 9, 14), *(f for f, each in zip(others, KINDS, strict=True) if each != kind)
@@ -97,7 +97,7 @@ def test_a_gap_in_the_counter_counts_as_lost_and_a_repetition_is_ignored(kind):
     assert (again.lost, getattr(again, kind), again.rejected) == (0, (), 0)
 
 
-def test_samples_of_a_tick_are_in_order_of_time():
+def test_sensor_samples_of_a_period_are_in_order_of_time():
     readings = decode(20, sample("tracker", 18, 2), sample("tracker", 15, 1))
     assert [s.tick for s in readings.tracker] == [15, 18]
 
@@ -114,11 +114,11 @@ def test_samples_of_a_tick_are_in_order_of_time():
         ((0.0, 0.0, -3.15), 1),
     ],
 )
-def test_a_rotation_vector_longer_than_half_a_turn_is_refused(r, rejected):
+def test_tracker_sample_with_a_rotation_vector_longer_than_half_a_turn_is_refused(r, rejected):
     assert decode(5, P.encode("tracker", (0, 0, 0, *r), 5, 0.0, 1)).rejected == rejected
 
 
-def test_nan_and_an_offset_beyond_its_field_are_refused():
+def test_sensor_codec_refuses_to_send_nan_or_a_time_offset_beyond_its_field():
     with pytest.raises(ProtocolError, match="not a number"):
         P.encode("imu", (float("nan"), *VALUES[1:]), 5, 0.0, 3)
     assert P.encode("imu", VALUES, 5, 0.065535, 3).data[12:14] == b"\xff\xff"
@@ -128,7 +128,7 @@ def test_nan_and_an_offset_beyond_its_field_are_refused():
 
 
 @every_kind
-def test_an_unknown_validity_is_refused(kind):
+def test_sensor_frame_with_an_unknown_validity_code_is_refused(kind):
     frame, at = sample(kind, 5, 3), 15 if kind == "imu" else 27
     for validity, there, rejected in ((0, 1, 0), (1, 0, 0), (2, 0, 1), (3, 0, 1), (15, 0, 1)):
         data = frame.data[:at] + bytes([validity << 4 | 3]) + frame.data[at + 1 : -1]
@@ -136,13 +136,13 @@ def test_an_unknown_validity_is_refused(kind):
         assert (len(getattr(readings, kind)), readings.rejected) == (there, rejected), validity
 
 
-def test_layout_classic_has_no_room_for_samples():
+def test_sensors_are_refused_on_the_bus_layout_classic():
     with pytest.raises(ConfigurationError, match=r"sensors\.tracker"):
         SensorProtocol(BusSettings(layout="classic"), ALL)
     assert SensorProtocol(BusSettings(layout="classic"), SensorSettings()).kinds == ()
 
 
-def test_bus_budget_counts_all_samples_that_can_fall_into_a_tick():
+def test_bus_budget_counts_all_sensor_samples_that_can_fall_into_a_period():
     assert [len(f.data) for f in P.cyclic_frames(1000.0)] == [32, 20, 32]
     assert len(P.cyclic_frames(500.0)) == 1 + 1 + 2
     assert len(P.cyclic_frames(1000.0 * (1 - 0.5e-9))) == 3, "rounding adds no frame"
@@ -153,7 +153,7 @@ def test_bus_budget_counts_all_samples_that_can_fall_into_a_tick():
 @pytest.mark.parametrize(
     ("place", "end", "step"), [(0, 6.5534, 2e-4), (2, -6.5536, -2e-4), (5, 65.534, 2e-3)]
 )
-def test_a_value_beyond_its_field_is_sent_as_invalid(place, end, step):
+def test_sensor_value_beyond_the_range_of_its_field_is_sent_as_invalid(place, end, step):
     for beyond, samples in ((0.0, 1), (0.4, 0), (1e6, 0)):
         values = [0.0] * 6
         values[place] = end + beyond * step

@@ -75,14 +75,14 @@ def family(name, legs=((0, 1, 2), (3, 4, 5))):
         ([HALVES[0], HALVES[1] | {"layout": "classic"}], "layout of its own.*given: classic"),
     ],
 )
-def test_assignment_that_omits_or_repeats_a_leg_is_refused(channels, message):
+def test_assignment_of_legs_to_buses_that_omits_or_repeats_a_leg_is_refused(channels, message):
     with pytest.raises(ValidationError, match=message):
         buses(*channels)
     with pytest.raises(ValidationError, match="both channel and channels"):
         buses(*HALVES, channel="x")
 
 
-def test_bus_has_its_own_values_and_shares_the_omitted_ones():
+def test_settings_omitted_for_one_bus_are_taken_from_the_common_bus_settings():
     own = {"interface": "socketcan", "bitrate_bit_s": 500_000, "options": {"x": 1}}
     other = {"channel": "b", "legs": [5, 3, 4], **own}
     found = buses(HALVES[0], other, bitrate_bit_s=800_000, max_load_percent=60.0)
@@ -94,7 +94,7 @@ def test_bus_has_its_own_values_and_shares_the_omitted_ones():
     assert found.channel == "a", "where the operator finds the run"
 
 
-def test_sensor_counts_only_on_its_bus_and_needs_a_known_bus():
+def test_sensor_is_received_only_on_its_configured_bus_which_must_exist():
     with pytest.raises(ConfigurationError, match=r"sensors\.imu\.channel: .*given: c"):
         SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="c")))
     sensors = SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="b")))
@@ -110,7 +110,7 @@ def test_sensor_counts_only_on_its_bus_and_needs_a_known_bus():
 
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("legs", [((0, 1, 2), (3, 4, 5)), ODD, tuple((leg,) for leg in range(6))])
-def test_all_frames_to_a_drive_are_on_its_own_bus(name, legs):
+def test_all_frames_to_a_drive_are_sent_on_the_bus_of_that_drive(name, legs):
     protocol = family(name, legs)
     on = {leg: bus for bus, there in enumerate(legs) for leg in there}
     tick = new_record()
@@ -154,7 +154,7 @@ def decoded(protocol: ByValue, frames: Sequence[Frame]) -> Any:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_answers_are_on_the_bus_of_their_drive_and_count_only_there(name):
+def test_answer_of_a_drive_is_accepted_only_on_the_bus_of_that_drive(name):
     protocol = family(name, ODD)
     answers = answers_of(name, protocol)
     assert {leg: frame.bus for leg, frame in answers} == {0: 0, 5: 0, 1: 1, 2: 1, 3: 1, 4: 1}
@@ -168,7 +168,7 @@ def test_answers_are_on_the_bus_of_their_drive_and_count_only_there(name):
         assert (tick["age"] == 0).sum() in ((0,) if strays else (6,)) or name == "cia402"
 
 
-def test_config_gives_a_drive_its_place_in_the_command_of_its_bus():
+def test_config_frame_gives_each_drive_its_position_in_the_command_frame_of_its_bus():
     protocol = LegsProtocol("fd", NODES, 100.0, ODD)
     frames = protocol.configure(0.01, Reaction.BRAKE)
     assert [frame.data[5] for frame in frames] == [1, 1, 2, 3, 4, 2], "legs 0 and 5; legs 1 to 4"
@@ -176,7 +176,7 @@ def test_config_gives_a_drive_its_place_in_the_command_of_its_bus():
     assert parse(protocol, frames[5]._replace(flags=frames[5].flags + BUS)) is None
 
 
-def test_sync_latches_the_legs_of_its_bus_only_and_a_command_needs_it():
+def test_sync_samples_only_the_legs_of_its_bus_and_a_command_without_it_is_refused():
     protocol = LegsProtocol("fd", NODES, 100.0, ((0, 1, 2), (3, 4, 5)))
     first, second = opening(protocol, 4)
     end = drives_end(protocol)
@@ -192,7 +192,7 @@ HEARTBEAT = 0x700 + 127
 
 
 @pytest.mark.parametrize("name", ["legs", "cia402", "odrive", "moteus"])
-def test_drives_of_each_bus_run_with_the_frames_of_the_bus_budget(name):
+def test_frames_exchanged_with_running_drives_on_each_bus_are_those_of_the_bus_budget(name):
     ends, run = Ends(family(name, ODD)), Command(DriveMode.RUN, FORCE)
     ends.running(FORCE)
     for _ in range(20):
@@ -248,7 +248,7 @@ def fakes(count: int) -> list[Any]:
     return [FakeLink(Still()) for _ in range(count)]
 
 
-def test_skew_is_between_first_frames_and_times_are_per_bus():
+def test_skew_between_buses_is_measured_at_their_first_frames_of_a_period():
     clock = Still()
     for times, skew_ns in (
         (((75_000, 900_000), (151_000,), (80_000,)), 76_000),
@@ -264,7 +264,7 @@ def test_skew_is_between_first_frames_and_times_are_per_bus():
     assert list(bus.sent_ns()) == [20, 10, 21, None, 11], "None: the bus did not accept it"
 
 
-def test_number_is_the_name_of_a_channel():
+def test_channel_given_as_a_number_is_read_as_its_name():
     numbered = [{"channel": n, "legs": [n, n + 3]} for n in range(3)]
     assert [each.channel for each in BusSettings.model_validate({"channels": numbered}).buses] == [
         "0",

@@ -55,7 +55,7 @@ def queued_ns(stranger: Participant) -> int:
 
 
 @pytest.mark.parametrize("joins", ["before", "after"])
-def test_foreign_node_on_the_second_channel_uses_the_lagging_clock(bench, joins):
+def test_foreign_node_on_the_second_channel_uses_the_simulated_time_of_the_first(bench, joins):
     clock = bench.first.clock
     clock.begin(1, 1)
     for _ in range(2):
@@ -68,14 +68,14 @@ def test_foreign_node_on_the_second_channel_uses_the_lagging_clock(bench, joins)
         stranger.close()
 
 
-def test_foreign_sender_on_the_second_channel_ends_all_standstills(bench):
+def test_frame_of_a_foreign_sender_on_the_second_channel_ends_pauses_of_simulated_time(bench):
     clock = bench.first.clock
     clock.begin(1, 1)
     clock.holds = True
     assert bench.second.send(sent_array([Frame(2, b"")])) == 1
     got(bench.stranger.receive())
     clock.working()
-    assert not clock.interrupted, "so far it has only listened"
+    assert not clock.interrupted, "so far the foreign node has only listened"
     queued_ns(bench.stranger)
     clock.working()
     assert clock.interrupted

@@ -33,7 +33,7 @@ MASKS = {
 
 
 @pytest.mark.parametrize("kind", [*STATES, *MASKS], ids=lambda kind: kind.__name__)
-def test_numbers_in_a_log_keep_their_meaning(kind):
+def test_numbers_of_logged_states_and_bits_of_logged_masks_never_change(kind):
     found = {name: int(member) for name, member in kind.__members__.items()}
     if kind in STATES:
         assert found == {name: number for number, name in enumerate(STATES[kind].split())}
@@ -41,6 +41,6 @@ def test_numbers_in_a_log_keep_their_meaning(kind):
         assert found == {"NONE": 0} | {name: 1 << bit for bit, name in enumerate(MASKS[kind].split())}
 
 
-def test_flag_of_a_lost_encoder_is_a_bit_that_no_state_uses():
+def test_flag_for_an_invalid_encoder_is_a_bit_that_no_drive_state_uses():
     assert signals.INVALID == 8
     assert max(signals.DriveState) < signals.INVALID

@@ -159,7 +159,7 @@ def sends(can: SocketCan, *frames: Frame) -> int:
 
 
 @pytest.mark.parametrize("layout", ["classic", "fd"])
-def test_the_socket_reports_all_errors_time_stamps_losses_and_fd_frames(kernel, layout):
+def test_socket_options_request_error_frames_time_stamps_loss_counts_and_fd_frames(kernel, layout):
     # CAN_CTRLMODE_FD is 0x20 of linux/can/netlink.h
     kernel.interface = CAN0._replace(mtu=72, data_bitrate_bit_s=5_000_000, modes=0x20)
     with Bus([SocketCan(SETTINGS.model_copy(update={"layout": layout}))]):
@@ -173,7 +173,7 @@ def test_the_socket_reports_all_errors_time_stamps_losses_and_fd_frames(kernel, 
 
 
 @pytest.mark.parametrize(("there", "words"), [(False, "no such network interface"), (True, "does not open")])
-def test_an_interface_that_is_missing_or_cannot_be_bound_is_refused(kernel, there, words):
+def test_can_interface_that_is_missing_or_cannot_be_bound_is_refused(kernel, there, words):
     kernel.there, kernel.unbindable = there, True
     with pytest.raises(BusError, match=words):
         SocketCan(SETTINGS)
@@ -192,7 +192,7 @@ def test_frame_is_received_intact_with_the_kernels_time_stamp(made, clock, data,
     assert -4_000_000 < received.t_ns - clock.ns < -2_900_000
 
 
-def test_losses_are_counted_once_and_across_the_wrap_of_the_counter(made):
+def test_frames_lost_by_the_kernel_are_counted_once_and_across_the_counter_wrap(made):
     can, sock = made
     for lost in (3, 3, 10, 0xFFFFFFFF, 1):
         sock.hears(0x80, lost=lost)
@@ -202,7 +202,7 @@ def test_losses_are_counted_once_and_across_the_wrap_of_the_counter(made):
     assert can.overflow == 0xFFFFFFFF + 2 + 1
 
 
-def test_worst_state_lasts_until_it_is_read(made):
+def test_worst_state_of_the_can_controller_is_kept_until_it_is_read(made):
     can, sock = made
     assert (can.worst_state(), can.virtual) == (BusState.ACTIVE, False)
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x20, 0, 0, 0, 0, 0, 0]))
@@ -213,7 +213,7 @@ def test_worst_state_lasts_until_it_is_read(made):
 
 
 @pytest.mark.parametrize("back", [RESTARTED, CONTROLLER_PROBLEM])
-def test_bus_off_lasts_until_the_controller_reports_its_return(made, back):
+def test_bus_off_lasts_until_an_error_frame_reports_the_return_of_the_can_controller(made, back):
     can, sock = made
     sock.hears(BUS_OFF)
     sock.hears(0x20000080)  # an error without a state
@@ -226,7 +226,7 @@ def test_bus_off_lasts_until_the_controller_reports_its_return(made, back):
     assert [can.worst_state() for _ in range(2)][1] is BusState.ACTIVE
 
 
-def test_virtual_interface_is_back_with_its_next_frame(kernel):
+def test_virtual_can_interface_counts_as_restored_with_its_next_frame(kernel):
     kernel.interface = CAN0._replace(kind="vcan", has_controller=False)
     can = SocketCan(SETTINGS)
     kernel.sockets[-1].hears(BUS_OFF)
@@ -237,7 +237,7 @@ def test_virtual_interface_is_back_with_its_next_frame(kernel):
     assert (can.off, can.worst_state()) == (False, BusState.OFF)
 
 
-def test_bus_off_between_two_readings_is_reported(made):
+def test_bus_off_that_begins_and_ends_between_two_readings_is_reported(made):
     can, sock = made
     bus = Bus([can])
     sock.hears(BUS_OFF)
@@ -250,7 +250,7 @@ def test_bus_off_between_two_readings_is_reported(made):
 # a bus that takes nothing
 
 
-def test_full_queue_means_a_busy_bus_and_after_50_ms_a_dead_one(made, clock):
+def test_full_send_queue_means_a_busy_bus_and_after_50_ms_a_dead_bus(made, clock):
     can, sock = made
     assert sends(can, *[FRAME] * 3) == 3
     sock.waiting, sock.refuses = 900, errno.ENOBUFS
@@ -278,35 +278,35 @@ def test_stall_of_the_machine_is_not_taken_for_a_dead_bus(made, clock):
     assert (can.off, sends(can), can.off) == (False, 1, False)
 
 
-def test_a_frame_that_the_interface_cannot_carry_is_an_error(made):
+def test_sending_a_frame_that_the_can_interface_cannot_carry_raises_an_error(made):
     can, sock = made
     sock.refuses = errno.EMSGSIZE
     with pytest.raises(BusError, match="0x80"):
         sends(can)
 
 
-def test_interface_that_was_down_is_used_once_it_is_up_as_configured(made, clock, kernel):
+def test_can_interface_that_went_down_is_used_again_once_it_is_up_as_configured(made, clock, kernel):
     can, sock = made
     sock.refuses = errno.ENETDOWN
     assert (sends(can), can.off) == (0, True)
     can.died()
-    assert kernel.calls == [], "the program does not bring it up"
+    assert kernel.calls == [], "the program does not bring the interface up"
     sock.hears(0x123)
     assert [each.frame.id for each in got(can.receive())] == [0x123]
-    assert can.off, "a frame does not prove that it is the configured one"
+    assert can.off, "a received frame does not prove that the interface is the configured one"
     for wrong in (CAN0._replace(up=False), CAN0._replace(bitrate_bit_s=1)):
         kernel.interface = wrong
         clock.ns += 100_000_000
         assert sends(can) == 0
     kernel.interface = CAN0
-    assert sends(can) == 0, "it is checked ten times a second"
+    assert sends(can) == 0, "the interface is checked ten times a second"
     clock.ns += 100_000_000
     assert (sends(can), can.off) == (1, False)
     kernel.sockets[-1].answers.append(OSError(errno.ENETDOWN, "made"))
     assert (got(can.receive()), can.off) == ([], True)
 
 
-def test_an_interface_that_was_deleted_is_opened_again(made, clock, kernel):
+def test_can_interface_that_was_deleted_and_created_again_is_opened_again(made, clock, kernel):
     can, sock = made
     sock.hears(0x123, lost=10)
     sock.answers.append(OSError(errno.ENODEV, "made"))
@@ -334,7 +334,7 @@ def starve(bus: Bus, sock: FakeSocket, clock: Clock) -> int:
     return bus.events().off
 
 
-def test_frames_on_a_dead_bus_are_dropped_once_until_a_frame_is_received(made, clock, kernel):
+def test_queued_frames_of_a_dead_bus_are_dropped_only_once_until_a_frame_is_received(made, clock, kernel):
     can, sock = made
     bus = Bus([can])
     for hears, drops in ((False, 1), (False, 1), (True, 2)):
@@ -349,7 +349,7 @@ def test_frames_on_a_dead_bus_are_dropped_once_until_a_frame_is_received(made, c
 
 
 @pytest.mark.parametrize(("restart_ms", "dropped"), [(0, []), (100, [False, True])])
-def test_controller_that_must_stay_bus_off_is_not_restarted(kernel, restart_ms, dropped):
+def test_can_controller_with_restart_ms_0_stays_bus_off(kernel, restart_ms, dropped):
     kernel.interface = CAN0._replace(restart_ms=restart_ms)
     can = SocketCan(SETTINGS)
     kernel.sockets[-1].hears(BUS_OFF)
@@ -359,7 +359,7 @@ def test_controller_that_must_stay_bus_off_is_not_restarted(kernel, restart_ms, 
 
 
 @pytest.mark.parametrize("cause", ["nothing", "queue", "bus-off", "restarted unnoticed"])
-def test_flush_drops_stale_frames_and_restarts_the_controller(made, kernel, cause):
+def test_flush_drops_queued_frames_and_restarts_the_can_controller_after_bus_off(made, kernel, cause):
     can, sock = made
     if cause == "queue":
         kernel.queued = 3
@@ -371,11 +371,13 @@ def test_flush_drops_stale_frames_and_restarts_the_controller(made, kernel, caus
     can.flush_tx()
     assert kernel.calls == ([False, True] if cause in {"queue", "bus-off"} else [])
     sock.hears(0x123)
-    assert [each.frame.id for each in got(can.receive())] == [0x123], "the program itself took it down and up"
+    assert [each.frame.id for each in got(can.receive())] == [0x123], (
+        "the program itself took the interface down and up"
+    )
     assert (can.off, sends(can)) == (False, 1)
 
 
-def test_flush_without_rights_or_at_another_bit_rate_keeps_the_bus_off(made, kernel):
+def test_flush_without_cap_net_admin_or_at_a_wrong_bit_rate_is_refused_and_the_bus_stays_off(made, kernel):
     can, _ = made
     for queued, interface, words in (
         (3, CAN0, "CAP_NET_ADMIN"),

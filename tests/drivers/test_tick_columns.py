@@ -24,12 +24,12 @@ from drivers.signals import NEVER
         ("J", [f"J.{k}" for k in range(36)], ["m"] * 18 + ["1"] * 18),
     ],
 )
-def test_columns_have_these_labels_and_units(name, labels, units):
+def test_labels_and_units_of_the_log_columns_equal_the_expected_table(name, labels, units):
     column = t.COLUMNS[name]
     assert ([*column.labels], [*column.units], column.size) == (labels, units, len(labels))
 
 
-def test_new_record_is_that_before_the_first_tick():
+def test_new_record_of_a_control_period_has_the_values_that_mean_not_yet_measured():
     record: Any = t.new_record()
     assert (record["tick"], record["age"].tolist()) == (-1, [NEVER] * 6)
     nowhere = {name for name in t.COLUMNS if np.isnan(record[name].astype(float)).all()}

@@ -23,21 +23,21 @@ def all_legs(value: float) -> np.ndarray:
     return np.full(6, value)
 
 
-def test_5_mm_screw_with_a_gear_of_2_moves_its_leg_2_5_mm_per_turn():
+def test_screw_of_5_mm_lead_with_a_gear_of_2_moves_its_leg_2_5_mm_per_motor_turn():
     t = six(**SCREW, offset_m=0.3)
     np.testing.assert_allclose(t.length(all_legs(0.1)), 0.30025, rtol=1e-15)
     np.testing.assert_allclose(t.rate(all_legs(4.0)), 0.01, rtol=1e-15)
     np.testing.assert_allclose(t.turns(all_legs(0.31)), 4.0, rtol=1e-12)
 
 
-def test_negative_sign_reverses_motion_and_force_but_not_the_offset():
+def test_negative_transmission_sign_reverses_motion_and_force_but_not_the_length_offset():
     t = six(**SCREW, offset_m=0.3, sign=[1, -1, 1, -1, 1, -1])
     np.testing.assert_allclose(t.length(all_legs(2.0)), [0.305, 0.295] * 3, rtol=1e-15)
     np.testing.assert_allclose(t.rate(all_legs(2.0)), [0.005, -0.005] * 3, rtol=1e-15)
     np.testing.assert_allclose(t.torque(all_legs(10.0)), [0.003978873577297384, -0.003978873577297384] * 3)
 
 
-def test_forces_without_losses_follow_from_virtual_work():
+def test_leg_force_of_a_transmission_without_losses_follows_from_virtual_work():
     # 1 N m x 2 pi x 2 / 5 mm = 2513.27 N; a pulley of 20 mm radius: 1 N m / 20 mm = 50 N.
     np.testing.assert_allclose(six(lead_m=0.005, gear_ratio=2).force(all_legs(1.0)), 2513.2741228718346)
     np.testing.assert_allclose(six(pulley_radius_m=0.02).force(all_legs(1.0)), 50.0, rtol=1e-14)
@@ -58,13 +58,13 @@ def test_forces_without_losses_follow_from_virtual_work():
     ],
 )
 @pytest.mark.parametrize("sign", [1, -1])
-def test_loss_takes_its_share_from_the_driving_side(force, rate, torque, sign):
+def test_transmission_loss_increases_driving_and_reduces_back_driven_torque(force, rate, torque, sign):
     t = six(**SCREW, sign=sign)
     np.testing.assert_allclose(t.torque(all_legs(force), all_legs(rate)), sign * torque, rtol=1e-9)
     np.testing.assert_allclose(t.force(all_legs(sign * torque), all_legs(rate)), force, rtol=1e-9)
 
 
-def test_range_of_turns_gives_the_shortest_and_longest_lengths():
+def test_range_of_motor_turns_gives_the_shortest_and_longest_leg_lengths():
     t = six(lead_m=SIX, gear_ratio=2.0, offset_m=SIX, sign=[1, -1] * 3)
     shortest, longest = t.lengths_within(0.5)
     np.testing.assert_allclose(shortest, 0.75 * np.array(SIX), rtol=1e-14)
@@ -72,7 +72,7 @@ def test_range_of_turns_gives_the_shortest_and_longest_lengths():
 
 
 @pytest.mark.parametrize("turns", [0.5, [0.5] * 6, SIX])
-def test_forgotten_turns_are_a_positive_length(turns):
+def test_length_lost_by_forgotten_encoder_turns_is_positive_for_either_sign(turns):
     settings = TransmissionSettings.model_validate({"lead_m": SIX, "gear_ratio": 2.0, "sign": [1, -1] * 3})
     expected = np.array(SIX) / 2.0 * np.array(turns)
     np.testing.assert_allclose(forgotten_length(settings, turns), expected, rtol=1e-14)
@@ -87,7 +87,7 @@ six_shares = st.lists(st.floats(0.01, 1.0), min_size=6, max_size=6)
 @given(
     six_numbers, st.lists(st.floats(-3e-3, 3e-3) | any_number, min_size=6, max_size=6), six_shares, six_shares
 )
-def test_losses_equal_the_formula_to_the_last_bit(force, rate, eta_d, eta_b):
+def test_compiled_transmission_losses_equal_the_formula_to_the_last_bit(force, rate, eta_d, eta_b):
     t = six(**SCREW | {"efficiency": eta_d, "back_driving_efficiency": eta_b}, sign=[1, -1] * 3)
     given_N, dq, driving, back = np.array(force), np.array(rate), np.array(eta_d), np.array(eta_b)
 

@@ -187,12 +187,12 @@ by_message = pytest.mark.parametrize("vector", VECTORS, ids=lambda v: v.message)
 
 
 @by_message
-def test_codec_writes_the_bytes_computed_by_hand(vector):
+def test_frame_codec_writes_the_bytes_computed_by_hand(vector):
     assert vector.frame == vector.expected
 
 
 @pytest.mark.parametrize("vector", [v for v in VECTORS if "CRC" in v.signals], ids=lambda v: v.message)
-def test_check_covers_the_identifier_and_all_bytes_before_it(vector):
+def test_crc_of_a_frame_covers_the_identifier_and_all_bytes_before_the_crc(vector):
     identifier, data, _ = vector.expected
     lead = identifier.to_bytes(2, "little")
     if vector.message in ("COMMAND_FD", "COMMAND_FD_SHORT"):
@@ -204,7 +204,7 @@ def test_check_covers_the_identifier_and_all_bytes_before_it(vector):
         assert bitwise_crc(lead + data[:-1], 8) == data[-1] == vector.signals["CRC"]
 
 
-def test_set_up_checksum_covers_its_config_and_the_rated_force():
+def test_set_up_checksum_covers_the_config_frame_and_the_rated_force():
     config = bytes.fromhex("06 06  D4 30 00 00 02 06 02")
     assert bitwise_crc(config + bytes.fromhex("00 48 E8 01"), 16) == 0x3AF9
 
@@ -213,7 +213,7 @@ SHORT = [v for v in VECTORS if v.message.startswith(("COMMAND_CLASSIC", "FEEDBAC
 
 
 @pytest.mark.parametrize("vector", SHORT, ids=lambda v: v.message)
-def test_general_database_has_forces_in_per_cent_of_the_rated_force(vector):
+def test_dbc_without_a_rated_force_has_forces_in_per_cent_of_the_rated_force(vector):
     decoded = GENERAL.decode_message(*vector.expected[:2], decode_choices=False)
     for name, value in vector.signals.items():
         expected = 100.0 * value / RATED_N if name.startswith("Force") else value
@@ -221,7 +221,7 @@ def test_general_database_has_forces_in_per_cent_of_the_rated_force(vector):
 
 
 @by_message
-def test_cantools_decodes_and_encodes_the_same_bytes(vector):
+def test_cantools_decodes_and_encodes_the_hand_computed_frames_equally(vector):
     message = DATABASE.get_message_by_name(vector.message)
     identifier, data, flags = vector.expected
     assert (message.frame_id, message.is_fd) == (identifier, bool(flags & FD))
@@ -230,7 +230,7 @@ def test_cantools_decodes_and_encodes_the_same_bytes(vector):
     assert message.encode(vector.signals, strict=True) == data
 
 
-def test_vectors_cover_every_kind_of_message():
+def test_hand_computed_frames_cover_every_kind_of_message():
     kinds = {message.name.rstrip("123456") for message in DATABASE.messages}
     assert {vector.message.rstrip("123456") for vector in VECTORS} == kinds
 
@@ -239,7 +239,7 @@ def frame_of(message: str) -> Frame:
     return next(v.expected for v in VECTORS if v.message == message)
 
 
-def test_drives_read_the_vectors():
+def test_emulated_drives_decode_the_hand_computed_frames():
     assert parse(P["fd"], frame_of("ESTOP")) == EmergencyStop()
     assert parse(P["fd"], frame_of("SYNC")) == Sync(0xA7)
     configure = parse(P["fd"], frame_of("CONFIG_3"))
@@ -271,7 +271,7 @@ def test_drives_read_the_vectors():
         ("ideal", "FEEDBACK_IDEAL_1", 0, 1.5, 60_000.0),
     ],
 )
-def test_controller_reads_the_vectors(layout, message, leg, length, force):
+def test_controller_decodes_the_hand_computed_frames(layout, message, leg, length, force):
     frames = [Received(0, frame_of(message)), Received(1, frame_of("STATUS_6"))]
     measurement = decode(P[layout], frames, TICK)
     assert measurement["length"][leg] == pytest.approx(length, rel=1e-15)

@@ -141,12 +141,12 @@ def changed(tree, name, *changes):
 
 
 @pytest.mark.parametrize("extension", LIMITS)
-def test_extension_touches_no_more_files_than_allowed(copied, extension):
+def test_extension_of_each_documented_kind_touches_at_most_the_allowed_number_of_files(copied, extension):
     assert 1 <= len(copied[1][extension]) <= LIMITS[extension], copied[1][extension]
 
 
 @pytest.mark.parametrize("extension", LIMITS)
-def test_architecture_guide_names_the_files_touched_by_an_extension(copied, extension):
+def test_architecture_guide_lists_the_files_touched_by_each_kind_of_extension(copied, extension):
     """Existing files by their path, new ones by their folder."""
     page = (ROOT / "docs/guides/architecture.md").read_text()
     row = re.search(rf"^\| a {extension} \|.*$", page, re.MULTILINE)
@@ -156,7 +156,7 @@ def test_architecture_guide_names_the_files_touched_by_an_extension(copied, exte
         assert f"`{named}" in row[0], named
 
 
-def test_new_column_is_in_the_log_with_its_unit(tree):
+def test_new_log_column_of_an_extension_is_in_the_log_with_its_unit(tree):
     python(tree, "-m", "hil.cli", "sim", "virtual", "--duration", "0.05", "--log", "column.mcap")
     log = Log.open(tree / "column.mcap")
     column = next(column for column in log.columns if column.name == "leg_error")
@@ -166,7 +166,7 @@ def test_new_column_is_in_the_log_with_its_unit(tree):
     assert rows["leg_error"].any()
 
 
-def test_new_safety_rule_faults_the_run(tree):
+def test_new_safety_rule_of_an_extension_faults_the_run(tree):
     """The ceiling of the rule is 1.15 m; the shipped path stays below."""
     hold = "reference: {type: hold, duration_s: 1, pose: {position_m: [0, 0, 1.2]}}\n\n"
     high = changed(tree, "virtual", ("^reference:.*?(?=^limits:)", hold))
@@ -177,12 +177,12 @@ def test_new_safety_rule_faults_the_run(tree):
     assert rows["p"][first, 2] > 1.15 > rows["p"][first - 1, 2]
 
 
-def test_new_plant_fault_acts_on_its_leg(tree):
+def test_new_kind_of_injected_fault_of_an_extension_acts_on_its_leg(tree):
     """Leg 5 applies half of its commanded force, the others all of it."""
     assert ask(tree, "ask_fault.py") == [1.0, 1.0, 1.0, 1.0, 1.0, 0.5]
 
 
-def test_new_command_runs_and_is_listed(tree):
+def test_new_command_of_an_extension_runs_and_is_listed_in_the_help(tree):
     assert re.search(
         r"^  lengths +Leg lengths at home\.$", python(tree, "-m", "hil.cli", "--help"), re.MULTILINE
     )

@@ -90,14 +90,14 @@ def package(tmp_path_factory):
     return made
 
 
-def test_family_from_the_skeleton_passes_the_contract_suite(package):
+def test_drive_family_written_from_the_skeleton_passes_the_protocol_contract_suite(package):
     assert re.search(r"^\d\d passed", package.run(CONTRACT), re.MULTILINE)
 
 
-def test_family_reads_and_writes_recorded_frames(package):
+def test_drive_family_written_from_the_skeleton_encodes_and_decodes_recorded_frames(package):
     vectors = VECTORS.read_text()
     assert int(package.run(f"import sys; sys.argv = ['', {vectors!r}]\n{RECORDED}")) == 13
 
 
-def test_family_runs_until_parked_and_replays(package):
+def test_run_of_a_drive_family_written_from_the_skeleton_parks_and_replays(package):
     package.run(SIMULATION + SUCCESS)

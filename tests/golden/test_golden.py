@@ -7,7 +7,7 @@ from tests.golden.freeze import CPU, expected
 from tests.golden.runner import differences, digests, replayed, run
 
 
-def test_every_case_is_frozen():
+def test_every_golden_case_has_stored_reference_results():
     assert set(expected()["cases"]) == set(CASES), "python -m tests.golden.freeze adds what is missing"
     assert set(CASES) >= QUICK
 
@@ -15,7 +15,7 @@ def test_every_case_is_frozen():
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in CASES]
 )
-def test_case_gives_its_frozen_frames_and_columns_and_replays(name):
+def test_golden_case_reproduces_its_stored_frames_and_columns_and_replays(name):
     kept = expected()
     trace = run(CASES[name])
     comparison = replayed(CASES[name], trace)

@@ -12,18 +12,18 @@ from hil.study.replay_suite import replay_case
 from tests.golden.logs import FOLDER, LOGS, QUICK
 
 
-def test_every_row_of_the_table_has_its_log():
+def test_every_row_of_the_table_of_golden_logs_has_its_log_file():
     assert {path.stem for path in FOLDER.glob("*.mcap")} == set(LOGS)
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_frozen_log_replays_with_equal_bits(name):
+def test_stored_golden_log_replays_with_equal_bits(name):
     found = replay_case(FOLDER / f"{name}.mcap")
     assert found.verdict == "pass", found.text
 
 
 @pytest.mark.long
-def test_all_frozen_logs_replay_as_one_suite(tmp_path):
+def test_all_stored_golden_logs_pass_hil_replay_suite(tmp_path):
     report = tmp_path / "suite.json"
     result = CliRunner().invoke(
         main, ["replay", "--suite", str(FOLDER), "--jobs", "1", "--json", str(report)]
@@ -33,7 +33,7 @@ def test_all_frozen_logs_replay_as_one_suite(tmp_path):
     assert (summary["passed"], summary["failed"], summary["skipped"]) == (len(LOGS), 0, 0)
 
 
-def test_cut_older_log_gives_its_rows_with_nan_in_a_later_column(tmp_path):
+def test_truncated_log_of_an_older_version_is_read_with_nan_in_columns_added_later(tmp_path):
     data, counts = (FOLDER / "ideal.mcap").read_bytes(), []
     for size in range(100_000, len(data), 10_000):
         (tmp_path / "cut.mcap").write_bytes(data[:size])

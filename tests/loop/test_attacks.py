@@ -73,7 +73,7 @@ ATTACKS: dict[str, Callable[[Attacked], Attack]] = {
 
 @pytest.mark.parametrize("mode", [Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING])
 @pytest.mark.parametrize("name", ATTACKS)
-def test_forged_commands_are_reported_and_move_nothing(virtual, mode, name):
+def test_forged_drive_commands_are_reported_and_move_no_leg(virtual, mode, name):
     bench = begin(virtual, mode)
     for _ in range(100 if mode is Mode.TRACKING else 20):
         bench.step()
@@ -96,7 +96,7 @@ def test_forged_commands_are_reported_and_move_nothing(virtual, mode, name):
 
 
 @pytest.mark.parametrize("audible", [True, False])
-def test_a_foreign_config_is_detected_before_the_drives_are_powered(virtual, audible):
+def test_foreign_config_frame_is_detected_before_the_drives_are_powered(virtual, audible):
     bench = begin(virtual, Mode.IDLE)
     config = bench.cycle.parts.protocol.configure(4000.0, Reaction.ZERO)  # type: ignore[attr-defined]
     bench.attack, bench.audible = lambda _tick: config, audible
@@ -110,7 +110,7 @@ def test_a_foreign_config_is_detected_before_the_drives_are_powered(virtual, aud
     assert set(bench.nodes.snapshot().state.tolist()) == {DriveState.OFF}
 
 
-def test_an_emergency_stop_is_repeated_until_it_reaches_the_drives(virtual):
+def test_emergency_stop_frame_is_repeated_until_the_drives_confirm_it(virtual):
     bench = begin(virtual, Mode.APPROACH)
     estop = bench.cycle.parts.protocol.traits.emergency_stop[0]
     hear, lost = bench.nodes._end.hear, [0]

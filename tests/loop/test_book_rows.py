@@ -163,7 +163,7 @@ HELD = {
 
 
 @pytest.mark.parametrize("row", broad(HELD, quick=4))
-def test_rows_at_1_kHz_match_in_every_field(row):
+def test_published_simulation_results_at_1_kHz_are_reproduced_in_every_field(row):
     law, small = HELD[row]
     found = figures(track(ideal(law, small=small), 4.0 if small else 2.0))
     worst = deviations(found, row)
@@ -173,7 +173,7 @@ def test_rows_at_1_kHz_match_in_every_field(row):
         assert found["peak_pos_mm"].max() <= 0.7
 
 
-def test_the_row_with_a_load_step_at_half_a_second_matches():
+def test_published_result_with_a_load_step_of_10_kN_at_half_a_second_is_reproduced():
     """10 kN along x, y and z at the platform's origin, unknown to feed-forward and PD."""
     first_tick_s = 0.009
     step = WrenchStep(at_s=first_tick_s + 0.5, force_N=(1e4, 1e4, 1e4), moment_N_m=(0.0, 0.0, 0.0))
@@ -197,7 +197,7 @@ CONTINUOUS: dict[str, tuple[dict[str, Any], float]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("row", CONTINUOUS)
-def test_continuous_time_rows_match_at_10_kHz_in_every_field(row):
+def test_published_continuous_time_results_are_reproduced_at_10_kHz_in_every_field(row):
     law, gravity = CONTINUOUS[row]
     worst = deviations(figures(track(ideal(law, rate_Hz=10_000, gravity=gravity), 2.0)), row)
     assert max(worst.values()) < 0.01, worst
@@ -245,17 +245,17 @@ def let_pass_and_follow(cycle, plant):
 
 
 @pytest.mark.long
-def test_constant_dynamics_without_safety_end_in_the_same_assembly():
+def test_constant_inverse_dynamics_without_safety_end_in_the_published_assembly_mode():
     rows = track(ideal(idc(20, "constant"), rate_Hz=10_000), 2.0, prepare=let_pass_and_follow)
     worst = deviations(figures(rows), CONSTANT)
     assert max(worst.values()) < 0.01, worst
 
 
-def test_constant_dynamics_fault_before_the_singularity():
+def test_constant_inverse_dynamics_cause_a_fault_before_the_singularity_at_1_011_s():
     """The row's motion crosses the singularity at 1.011 s."""
     configuration = ideal(idc(20, "constant"))
     rows = track(configuration, 2.0)
-    assert rows["mode"][-1] == Mode.HELD, "it has no brake test that could prove its brakes"
+    assert rows["mode"][-1] == Mode.HELD, "the configuration has no brake test that could prove the brakes"
     assert rows["reference_time_s"][-2] < 1.011
     assert int(rows["faults"][-1]) & (Fault.CONDITION | Fault.KINEMATICS | Fault.ASSEMBLY)
     assert any("small motion only" in w for w in inspect(configuration).warnings)
@@ -351,12 +351,12 @@ ROUNDING = [
 
 
 @pytest.mark.parametrize(("row", "law"), broad(ROUNDING, quick=1))
-def test_rows_without_hold_have_rounding_errors_only(row, law, tmp_path):
+def test_published_results_without_sample_and_hold_are_reproduced_to_rounding_errors(row, law, tmp_path):
     configuration = ideal(law)
     found = integrate(configuration, law_of(configuration), Accelerations(configuration, tmp_path))
     assert max(found["peak_leg_err_mm"], *found["peak_pos_mm"]) < 1e-4
     assert found["peak_leg_force_N"] == pytest.approx(ROWS[row]["peak_leg_force_N"], rel=1e-6)
 
 
-def test_every_row_of_the_data_file_has_a_test():
+def test_every_row_of_the_published_results_has_a_test():
     assert {*HELD, *CONTINUOUS, *(row for row, _ in ROUNDING), LOADED, CONSTANT} == set(ROWS)

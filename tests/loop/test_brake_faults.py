@@ -53,10 +53,10 @@ def assert_held(ran: Ran, legs: Sequence[int], since: Mode) -> None:
     assert np.abs(held["tau"][-1]).max() > 0
     assert ran.moved(ran.first(since)) < BOUND_m
     still = ran.true[-300:]
-    assert np.abs(still - still[-1]).max() < 50e-6, "it has come to rest"
+    assert np.abs(still - still[-1]).max() < 50e-6, "the platform has come to rest"
 
 
-def test_good_brakes_pass_both_tests_and_the_run_succeeds(good):
+def test_good_brakes_pass_the_tests_before_and_after_motion_and_the_run_succeeds(good):
     assert good.ending.success, good.ending
     for mode, force_off_s in ((Mode.LOADING, 0.3), (Mode.UNLOADING, 0.1)):
         rows = good.rows[good.rows["mode"] == mode]
@@ -68,7 +68,7 @@ def test_good_brakes_pass_both_tests_and_the_run_succeeds(good):
 
 
 @pytest.mark.parametrize("legs", broad([[0], [*LEGS], [1], [2], [3], [4], [5]], quick=2), ids=str)
-def test_brakes_that_do_not_close_are_found_and_their_legs_held(good, legs):
+def test_brakes_that_do_not_close_are_detected_and_their_legs_held_by_force(good, legs):
     since = good.within(Mode.TRACKING, 0.5)
     ran = run(load("virtual"), *(BrakeStuckOpen(leg=leg, at_s=since) for leg in legs), stop_s=STOP_S)
     assert_held(ran, legs, Mode.UNLOADING)
@@ -91,7 +91,7 @@ OPENS = [
     ],
     ids=[f"{m.name} {s} {which}" for which in ("one", "all") for m, s in OPENS],
 )
-def test_a_brake_that_opens_under_load_is_found_and_its_leg_held(good, mode, share, legs):
+def test_brake_that_opens_under_load_is_detected_and_its_leg_held_by_force(good, mode, share, legs):
     since = good.within(mode, share)
     ran = run(load("virtual"), *(BrakeStuckOpen(leg=leg, at_s=since) for leg in legs), stop_s=STOP_S)
     assert_held(ran, legs, Mode.UNLOADING if mode is Mode.UNLOADING else Mode.IDLE)
@@ -105,7 +105,7 @@ PD = {"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
     ("name", "controller", "leg"),
     [("virtual", PD, 4), *(pytest.param(name, {}, 2, marks=pytest.mark.long) for name in ("lab", "bench"))],
 )
-def test_other_laws_and_robots_hold_their_legs_too(name, controller, leg):
+def test_leg_with_an_open_brake_is_held_by_force_under_other_laws_and_robots(name, controller, leg):
     c = changed(name, controller=controller) if controller else load(name)
     good = run(c, stop_s=STOP_S)
     assert good.ending.success, good.ending
@@ -113,14 +113,14 @@ def test_other_laws_and_robots_hold_their_legs_too(name, controller, leg):
     assert_held(ran, (leg,), Mode.UNLOADING)
 
 
-def test_a_brake_that_slips_below_its_load_is_found():
+def test_brake_weaker_than_its_load_is_detected():
     """3.2 kN of brake under a load of 3.6 kN."""
     ran = run(changed("virtual", plant={"model": {"brake_force_N": 3200}}), stop_s=STOP_S)
     assert ran.ending.mode is Mode.HELD, ran.ending
     assert ran.moved(0) < BOUND_m
 
 
-def test_without_a_brake_test_a_falling_leg_is_found_and_held():
+def test_leg_that_falls_after_parking_without_a_brake_test_is_detected_and_held():
     """The ideal configuration parks without a brake test; the legs are watched for a moment before the run
     ends.
     """
@@ -128,7 +128,7 @@ def test_without_a_brake_test_a_falling_leg_is_found_and_held():
     assert_held(ran, (1,), Mode.PARKED)
 
 
-def test_a_brake_that_closes_too_slowly_is_found():
+def test_brake_that_closes_too_slowly_is_detected():
     """The brake takes 250 ms, and the controller waits for 100: it is open in the first half of the test."""
     c = load("virtual")
     assert c.plant is not None
@@ -139,7 +139,7 @@ def test_a_brake_that_closes_too_slowly_is_found():
 
 
 @pytest.mark.parametrize("fault", [DriveSilence, EncoderLost])
-def test_a_leg_without_measurement_proves_no_brake(good, fault):
+def test_brake_test_of_a_leg_without_measurement_is_not_passed_and_holding_forces_return(good, fault):
     """The holding force of all legs returns, and stays constant: control is impossible."""
     ran = run(load("virtual"), fault(leg=5, at_s=good.within(Mode.UNLOADING, 0.4)), stop_s=STOP_S)
     assert (ran.ending.mode, ran.ending.faults) == (Mode.HELD, Fault.STALE)
@@ -150,7 +150,7 @@ def test_a_leg_without_measurement_proves_no_brake(good, fault):
     assert ran.moved(ran.first(Mode.PARKING)) < 50e-6
 
 
-def test_a_run_that_is_held_replays_to_the_bit(stuck):
+def test_run_that_ends_held_by_force_after_a_brake_fault_replays_to_the_bit(stuck):
     inputs: list[TickInput] = []
     ran = run(load("virtual"), stuck, stop_s=STOP_S, watch=lambda _, inp, __: inputs.append(inp))
     ran.cycle.reset()
@@ -171,7 +171,7 @@ def held(fault: PlantFault, **sections: Any) -> Iterator[tuple[Lockstep, Course]
         yield lockstep, course
 
 
-def test_the_daemon_holds_until_release_and_ends_when_all_legs_rest(stuck):
+def test_run_holds_a_leg_with_a_failed_brake_until_release_and_ends_when_all_legs_rest(stuck):
     with held(stuck, plant={"model": {"viscous_friction_N_s_m": 300}}) as (lockstep, course):
         cycle, nodes = lockstep.cycle, lockstep.nodes
         for k in range(3000):
@@ -190,14 +190,14 @@ def test_the_daemon_holds_until_release_and_ends_when_all_legs_rest(stuck):
             said.add(course.stays_for)
             if ending is not None:
                 break
-        assert fell, "it was let go"
+        assert fell, "the platform was released"
         assert any("still moves" in text for text in said)
         assert ending is not None
         assert (ending.mode, ending.released, ending.success) == (Mode.FAULT, True, False)
         assert np.abs(nodes.snapshot().rate).max() < 0.02
 
 
-def test_only_an_emergency_stop_ends_a_run_that_never_comes_to_rest(stuck):
+def test_only_an_emergency_stop_ends_a_run_whose_released_leg_never_comes_to_rest(stuck):
     """Without any friction the released leg swings for ever."""
     with held(stuck) as (lockstep, course):
         lockstep.step(course.commands(lockstep.tick + 1, (Operator.RELEASE,)))
@@ -211,7 +211,7 @@ def test_only_an_emergency_stop_ends_a_run_that_never_comes_to_rest(stuck):
     assert "still moving: leg" in ending.reason
 
 
-def test_no_command_except_an_emergency_stop_drops_a_held_platform(stuck):
+def test_no_operator_command_except_emergency_stop_drops_a_platform_held_by_force(stuck):
     with held(stuck) as (lockstep, _):
         for operator in (Operator.RESET, Operator.ENGAGE, Operator.STOP):
             lockstep.step((operator,))

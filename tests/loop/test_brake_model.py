@@ -138,12 +138,12 @@ def every() -> list[Step]:
     return all_steps
 
 
-def test_the_model_reaches_every_mode(every):
+def test_exhaustive_model_of_brakes_drives_and_operator_reaches_every_mode(every):
     assert {step.after.mode for step in every} == set(Mode)
     assert len({step.after for step in every}) > 500
 
 
-def test_the_force_goes_off_only_in_a_brake_test_or_for_a_listed_reason(every):
+def test_force_is_removed_only_in_a_brake_test_estop_bus_failure_or_operator_release(every):
     """Emergency stop, bus failure, the operator's release: no other fault drops the platform."""
     lost = Fault.ESTOP | Fault.BUS
     for step in every:
@@ -155,7 +155,7 @@ def test_the_force_goes_off_only_in_a_brake_test_or_for_a_listed_reason(every):
         assert tested or released or powerless or step.found & lost, step
 
 
-def test_the_force_returns_one_step_after_a_leg_moved_on_its_brake(every):
+def test_force_returns_one_step_after_a_leg_moved_on_its_closed_brake(every):
     for step in every:
         if step.before.was_bad:
             lost = step.found & (Fault.ESTOP | Fault.BUS)
@@ -166,20 +166,20 @@ def test_the_force_returns_one_step_after_a_leg_moved_on_its_brake(every):
                 assert lost or opening, step
 
 
-def test_no_run_stays_parked_on_a_failed_brake_for_more_than_a_step(every):
+def test_platform_on_a_failed_brake_stays_parked_without_force_for_at_most_one_step(every):
     for step in every:
         if step.before.mode is Mode.PARKED and step.after.mode is Mode.PARKED:
             assert not step.before.was_bad
 
 
-def test_an_emergency_stop_acts_in_every_state(every):
+def test_emergency_stop_acts_in_every_reachable_state(every):
     for step in every:
         if step.operator is Operator.ESTOP:
             assert step.after.mode is Mode.FAULT
             assert step.after.faults & Fault.ESTOP
 
 
-def test_only_a_reset_without_force_clears_a_fault(every):
+def test_fault_is_cleared_only_by_a_reset_while_the_force_is_off(every):
     for step in every:
         if step.before.faults & ~step.after.faults:
             assert step.operator is Operator.RESET
@@ -187,7 +187,7 @@ def test_only_a_reset_without_force_clears_a_fault(every):
         assert step.found in step.after.faults
 
 
-def test_no_brake_opens_without_the_operators_consent(every):
+def test_brakes_open_only_after_the_operators_arm_command(every):
     """From IDLE only ENGAGE leads to LOADING, and no other mode leads to an open brake."""
     for step in every:
         if step.after.mode in MOVING and step.before.mode not in MOVING:

@@ -50,7 +50,7 @@ TICKS = 6
         quick=5,
     ),
 )
-def test_daemon_and_lockstep_end_the_same_way_under_the_same_faults(faults, mode, seconds):
+def test_real_time_loop_and_simulated_loop_end_in_the_same_mode_under_the_same_faults(faults, mode, seconds):
     stop_s = None if mode is Mode.WAITING else 1.4
     nodes, plant = build_nodes(IDEAL, FaultPlan(faults))
     rows: list[Any] = []
@@ -77,7 +77,7 @@ class Stamped(Wire):
         return [self.now() + OUT_NS]
 
 
-def test_the_latch_time_of_each_drive_is_recorded():
+def test_real_time_loop_records_when_each_drive_sampled_its_length():
     latched: list[list[int]] = []
 
     def tick(row: Any, *_: Any, **__: Any) -> None:
@@ -161,7 +161,7 @@ def looped(
     return inputs[:TICKS], wire
 
 
-def test_the_step_gets_lateness_losses_and_skew_of_its_tick():
+def test_each_control_step_gets_the_lateness_frame_losses_and_bus_skew_of_its_period():
     window_ns = PERIOD_NS // 4
     inputs, wire = looped(window_ns=window_ns)
     for tick, inp in enumerate(inputs):
@@ -176,13 +176,13 @@ def test_the_step_gets_lateness_losses_and_skew_of_its_tick():
     )
 
 
-def test_each_refused_frame_is_reported_once_in_the_next_step():
+def test_each_frame_refused_by_the_bus_is_reported_once_in_the_next_control_step():
     inputs, _ = looped({(1, "command"): 2, (2, "opening"): 1, (4, "opening"): 3})
     assert [inp.sends_failed for inp in inputs] == [0, 0, 3, 0, 3, 0]
 
 
 @pytest.mark.parametrize(("operator", "tries"), [(Operator.RESET, 1), (Operator.STOP, 0)])
-def test_a_reset_flushes_the_frames_of_a_dead_bus(operator, tries):
+def test_reset_flushes_the_queued_frames_of_a_dead_bus(operator, tries):
     _, wire = looped(commands={3: (operator,)})
     assert wire.flushed.count(3) == tries
 
@@ -191,7 +191,7 @@ def test_a_reset_flushes_the_frames_of_a_dead_bus(operator, tries):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
-def test_any_exception_commands_the_drives_off_behind_queued_frames(error):
+def test_any_exception_in_the_loop_sends_off_commands_behind_the_queued_frames(error):
     wires: list[Busy] = []
 
     def kind(nodes: Any) -> Busy:
@@ -253,7 +253,7 @@ SENT, REFUSED = ["sent"] * 5, ["refused"] * 5
         (Refusing(list(range(6, 99)), off=True), True, [*REFUSED, "flush", *SENT]),
     ],
 )
-def test_off_commands_are_repeated_on_a_bus_that_accepted_none(bus, told, done):
+def test_off_commands_after_an_exception_are_repeated_on_each_bus_that_accepted_none(bus, told, done):
     deadlines: Any = SimpleNamespace(tick=7, period_ns=1_000)
     assert switch_off(new_cycle(IDEAL), bus, deadlines) is told
     assert bus.done == done
@@ -291,13 +291,13 @@ def heard_by(shared: bool, now: Any, next_one: Any, window_ns: int, wake: Wake) 
 
 @pytest.mark.parametrize(("window_ns", "last"), [(145, 150), (140, 140), (141, 150)])
 @pytest.mark.parametrize("shared", [False, True])
-def test_the_feedback_window_ends_in_time_under_a_flood_of_foreign_frames(shared, window_ns, last):
+def test_wait_for_feedback_ends_in_time_under_a_flood_of_foreign_frames(shared, window_ns, last):
     clock, looks = [100], list[int]()
 
     def next_one(_deadline_ns: int, _wanted: Any = None) -> Rows:
         clock[0] += 10
         looks.append(clock[0])
-        assert len(looks) < 20, "it waits on"
+        assert len(looks) < 20, "the loop waits on although the window is over"
         return received_array([Received(clock[0], Frame(7, bytes([7]))), Received(clock[0], Frame(1, b"\1"))])
 
     heard = heard_by(shared, lambda: clock[0], next_one, window_ns, Wake(0, 0, 0, 0))

@@ -99,7 +99,7 @@ QUICK = [
 
 
 @pytest.mark.parametrize("name", broad([*QUICK, *(name for name in CASES if name not in QUICK)], len(QUICK)))
-def test_python_decides_only_when_a_mode_changes(name):
+def test_compiled_control_loop_calls_python_only_when_the_mode_changes(name):
     """At both ends and on the bus; with sensors only in the cycle, as Python draws their samples."""
     c = CASES[name]()
     watch = Watch()
@@ -173,7 +173,7 @@ print(*dict.fromkeys(seen))
 MODES = "WAITING IDLE LOADING RELEASING APPROACH TRACKING STOPPING PARKING UNLOADING PARKED"
 
 
-def test_the_loop_of_a_new_process_compiles_nothing():
+def test_control_loop_in_a_new_process_uses_cached_kernels_without_compilation():
     modes = subprocess.run(
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False, timeout=250
     )

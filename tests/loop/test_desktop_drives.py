@@ -39,7 +39,7 @@ def ran(family: str) -> Ran:
 
 
 @pytest.mark.parametrize("family", broad(OTHERS, quick=1))
-def test_each_family_tracks_as_well_as_the_projects_own_protocol(family):
+def test_each_commercial_drive_family_tracks_as_well_as_the_protocol_legs(family):
     found = ran(family)
     assert found.ending.success, found.ending
     assert found.summary["rejected_frames"] == 0
@@ -64,7 +64,7 @@ REFUSED: list[tuple[str, dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("family", "sections", "said"), REFUSED)
-def test_settings_beyond_the_drives_or_their_bus_are_refused(family, sections, said):
+def test_settings_beyond_the_range_of_the_drives_or_their_bus_are_refused(family, sections, said):
     with pytest.raises(ConfigurationError) as caught:
         desktop(family, **sections)
     assert said in str(caught.value)
@@ -113,7 +113,7 @@ def started() -> Started:
     return Started(ran.rows, axes, ran.first(Mode.RELEASING), np.array(estimates))
 
 
-def test_brakes_open_under_the_holding_force_and_no_leg_sinks(started):
+def test_odrive_brakes_open_under_the_holding_force_and_no_leg_sinks(started):
     k = started.released
     opening = started.axes[k + 1 : k + RELEASED_TICKS]
     enabled = [np.array(each.state) == DriveState.RUN for each in opening]
@@ -127,7 +127,7 @@ def test_brakes_open_under_the_holding_force_and_no_leg_sinks(started):
     assert np.abs(released - released[0]).max() < 1e-5
 
 
-def test_the_start_continues_after_the_last_heartbeat_without_a_fault(started):
+def test_start_waits_for_the_heartbeat_of_the_last_odrive_axis_and_continues_without_a_fault(started):
     rows, k = started.rows, started.released
     approach = int(np.argmax(rows["mode"] == Mode.APPROACH))
     told = rows["drive_state"][k:approach] == DriveState.RUN
@@ -142,7 +142,7 @@ def test_the_start_continues_after_the_last_heartbeat_without_a_fault(started):
     assert error < 0.5 * desktop("odrive").limits.following_error_m
 
 
-def test_brakes_count_as_shut_only_after_each_axis_has_reported_it(started):
+def test_odrive_brakes_count_as_closed_only_after_each_axis_has_reported_it(started):
     rows = started.rows
     parking, unloading = (int(np.argmax(rows["mode"] == mode)) for mode in (Mode.PARKING, Mode.UNLOADING))
     assert (rows["drive_state"][parking + 1] == DriveState.RUN).any(), "a heartbeat as quick as a change"

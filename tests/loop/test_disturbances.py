@@ -82,7 +82,7 @@ CASES = {
 @pytest.mark.parametrize(
     ("name", "count"), broad([("wn 20", 15), *((n, 30 if n == "lightly damped" else 100) for n in CASES)], 1)
 )
-def test_no_stated_disturbance_exceeds_the_printed_bound(name, count):
+def test_error_under_disturbances_of_the_configured_size_stays_within_the_printed_bound(name, count):
     case = CASES[name]
     mobility = _mobility()
     D = float(FORCE_N * np.linalg.norm(mobility[:, :3], axis=1).max())

@@ -96,7 +96,7 @@ EVERY_JUMP = [
 
 
 @pytest.mark.parametrize(("name", "mode", "leg", "by"), broad(EVERY_JUMP, quick=len(POWERED)))
-def test_a_jump_is_found_in_its_tick_in_every_mode_with_power(name, mode, leg, by):
+def test_encoder_jump_is_detected_in_the_same_period_in_every_mode_with_power(name, mode, leg, by):
     """Six lengths always fit some pose."""
     at = good(name).within(mode, 0.37)
     jumped = run(load(name), EncoderJump(leg=leg, by_m=by, at_s=at), stop_s=STOP_S[name])
@@ -111,7 +111,7 @@ FREEZES = [*((NAMES[n % 2], mode, 2) for n, mode in enumerate(MOVES)), *pairwise
 
 
 @pytest.mark.parametrize(("name", "mode", "leg"), broad(FREEZES, quick=3))
-def test_a_frozen_encoder_is_found_in_motion_and_when_motion_begins(name, mode, leg):
+def test_frozen_encoder_is_detected_in_motion_or_when_motion_begins(name, mode, leg):
     at = good(name).within(mode, 0.37)
     frozen = run(load(name), EncoderFreeze(leg=leg, at_s=at), stop_s=STOP_S[name])
     assert_in_time(frozen, leg, round(1e3 * at))
@@ -124,7 +124,7 @@ PUSHES = [(0, 0, -1), (1, 0, 0), (0, 1, 0)]
     ("name", "along", "leg"),
     broad([("virtual", PUSHES[0], 1), ("lab", PUSHES[2], 1), *pairwise(NAMES, PUSHES, LEGS)], quick=2),
 )
-def test_a_frozen_encoder_at_hold_is_found_when_a_load_moves_the_platform(name, along, leg):
+def test_frozen_encoder_of_a_platform_at_rest_is_detected_when_a_load_moves_the_platform(name, along, leg):
     """On `lab` friction may hold a leg still as well: a push decides."""
     fx, fy, fz = (PUSH_N[name] * x for x in along)
     push = WrenchStep(force_N=(fx, fy, fz), moment_N_m=(0.0, 0.0, 0.0), at_s=2.8)
@@ -135,21 +135,21 @@ def test_a_frozen_encoder_at_hold_is_found_when_a_load_moves_the_platform(name, 
 
 
 @pytest.mark.parametrize(("name", "leg"), broad([(NAMES[leg % 2 - 1], leg) for leg in LEGS], quick=2))
-def test_a_brake_that_stays_shut_is_found_before_a_leg_moves_10_mm(name, leg):
+def test_brake_that_stays_closed_is_detected_before_any_leg_moves_10_mm(name, leg):
     shut = run(load(name), BrakeStuckClosed(leg=leg), stop_s=STOP_S[name])
     found(shut, leg)
     assert np.abs(shut.true - shut.true[0]).max() < 10e-3
 
 
 @pytest.mark.parametrize("leg", broad([0, 2, 5], quick=1))
-def test_a_frozen_encoder_without_load_is_found_when_the_leg_drifts(leg):
+def test_frozen_encoder_of_a_leg_without_load_is_detected_when_the_leg_drifts(leg):
     """No control acts on that leg: it drifts slowly, and moves the others by a few per cent of that."""
     frozen = run(at_hold("virtual"), EncoderFreeze(leg=leg, at_s=2.0), stop_s=6.0)
     assert_in_time(frozen, leg, 2000)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_encoder_that_freezes_on_closed_brakes_leaves_no_error(name):
+def test_encoder_that_freezes_on_closed_brakes_moves_no_leg_and_the_run_succeeds(name):
     at_s = good(name).within(Mode.UNLOADING, 0.37)
     frozen = run(load(name), EncoderFreeze(leg=4, at_s=at_s), stop_s=STOP_S[name])
     assert frozen.ending.success
@@ -183,7 +183,7 @@ CALM = [(name, still, lost) for lost in (0.03, 0.0) for still in (True, False) f
     ("name", "still", "lost", "seed", "stop_s"),
     broad([(*CALM[0], 0, 5.0), *((*case, seed, 60.0) for seed, case in enumerate(CALM, 1))], quick=1),
 )
-def test_stated_disturbances_and_lost_frames_raise_no_alarm(name, still, lost, seed, stop_s):
+def test_configured_disturbances_and_lost_frames_raise_no_encoder_alarm(name, still, lost, seed, stop_s):
     c = at_hold(name) if still else load(name)
     faults = loads_up_to(c, seed, stop_s)
     if lost:
@@ -256,7 +256,7 @@ CASES = [
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "still", "tick", "leg", "least_m", "most_m", "sign"), CASES)
-def test_twice_the_smallest_jump_is_found_and_three_tenths_are_not(
+def test_encoder_jump_of_twice_the_printed_smallest_is_detected_and_of_0_3_times_is_not(
     name, still, tick, leg, least_m, most_m, sign
 ):
     """Half the jump may be found one tick later: the slope then returns, and leaps by 3.5 J / T instead of
@@ -283,7 +283,7 @@ def test_twice_the_smallest_jump_is_found_and_three_tenths_are_not(
 
 
 @pytest.mark.parametrize("leg", broad(range(6), quick=1))
-def test_a_jump_of_a_leg_at_rest_is_not_mistaken_for_a_late_latch(leg):
+def test_encoder_jump_of_a_leg_at_rest_is_not_mistaken_for_a_late_sampling_instant(leg):
     """Its rate, computed from the jump itself, would explain any jump as the motion during a late latch."""
     c = bench_of("virtual-cia402", still=True)
     found = run(c, EncoderJump(leg=leg, by_m=1e-3, at_s=660 * T), stop_s=664 * T)
@@ -291,7 +291,7 @@ def test_a_jump_of_a_leg_at_rest_is_not_mistaken_for_a_late_latch(leg):
     assert (row["tick"] - 660, row["doubt"]) == (0, Doubt.LEAP), found.ending
 
 
-def test_the_printed_jump_is_the_smallest_detectable_one_at_rest():
+def test_printed_smallest_detectable_encoder_jump_at_rest_equals_a_hand_calculation():
     """a = 16 m/s^2: (16 x 2.5e-3 x 7/3 + 4 x (1.22e-4 + 50e-6 x 16)) x 2.5e-3 / 1.5 = 0.162 mm."""
     report = Report(looked_at(load("virtual-cia402")))
     sensing.encoders(report)

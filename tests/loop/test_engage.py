@@ -75,7 +75,7 @@ def engaged(request: pytest.FixtureRequest) -> Ran:
     return ran
 
 
-def test_the_force_is_continuous_from_the_first_newton_to_the_last(engaged):
+def test_leg_forces_have_no_step_from_brake_opening_through_motion_to_brake_closing(engaged):
     """The steepest change is the ramp's own; encoder steps and the motion's forces add a little.
 
     While the brakes close the law still acts: they end the last mm/s at once, to which 5e4 N s/m reacts.
@@ -100,7 +100,7 @@ def test_no_leg_moves_while_the_brakes_open_and_close(engaged):
     assert np.abs(closing["q"] - closing["q"][0]).max() < 50e-6
 
 
-def test_the_approach_leads_from_the_measured_pose_to_the_reference(engaged):
+def test_approach_moves_the_platform_from_the_measured_pose_to_the_start_of_the_reference(engaged):
     rows = engaged.rows
     approach = rows[rows["mode"] == Mode.APPROACH]
     measured = rows["p"][rows["mode"] == Mode.LOADING][0]
@@ -111,7 +111,7 @@ def test_the_approach_leads_from_the_measured_pose_to_the_reference(engaged):
     assert np.abs(np.diff(rows["q_d"][moving], axis=0)).max() < 0.5e-3
 
 
-def test_pd_starts_at_the_holding_force_and_fades_it_out():
+def test_pd_law_without_gravity_compensation_starts_at_the_holding_force_and_fades_it_out():
     """A law without gravity feed-forward asks for no force at zero error: the entry offset carries the
     platform.
     """
@@ -149,7 +149,7 @@ MOMENTS += [
 
 
 @pytest.mark.parametrize(("law", "mode", "share"), broad(MOMENTS, quick=len(STOPS)))
-def test_a_stop_in_any_mode_parks_the_platform_at_its_pose(law, mode, share):
+def test_stop_command_in_any_mode_parks_the_platform_at_its_present_pose(law, mode, share):
     with bench(at(law, "10 cm aside, 8 degrees about y")) as lockstep:
         row = until(lockstep, Mode.TRACKING if mode is Mode.STOPPING else mode)
         if mode is Mode.STOPPING:
@@ -182,7 +182,7 @@ def test_a_stop_in_any_mode_parks_the_platform_at_its_pose(law, mode, share):
         assert np.abs(later.rate).max() < 1e-6
 
 
-def test_a_stop_before_the_start_never_opens_a_brake():
+def test_stop_command_before_the_start_never_opens_a_brake():
     with bench(at()) as lockstep:
         until(lockstep, Mode.IDLE)
         start = lockstep.nodes.snapshot().length

@@ -59,7 +59,7 @@ INVERSE_DYNAMICS = {"law": "inverse_dynamics", "wn_rad_s": W_N}
 
 
 @directions
-def test_exact_inverse_dynamics_gives_each_leg_its_linear_equation(direction):
+def test_exact_inverse_dynamics_give_each_leg_an_uncoupled_linear_error_equation(direction):
     rows, p, R = track(INVERSE_DYNAMICS, direction)
     expected = critically_damped(leg_errors(p, R), rows["reference_time_s"])
     assert 0.04 < np.abs(expected[0]).max() < 0.11

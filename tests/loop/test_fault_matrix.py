@@ -29,7 +29,7 @@ BOUNDS = Bounds(stopping_m=0.163, controlled_m=0.283, harmless_m=0.01, harmless_
 KINDS = [name for name in FAULTS if not name.startswith(("process", "sensor"))]
 
 
-def test_the_matrix_has_each_kind_at_each_moment_for_each_given_leg():
+def test_fault_matrix_has_each_kind_of_fault_at_each_moment_for_each_given_leg():
     c = load("virtual")
     found = cases(c)
     assert sorted(case.name for case in found) == sorted(f"{k}/{m}" for k in KINDS for m in MATRIX)
@@ -45,7 +45,7 @@ def test_the_matrix_has_each_kind_at_each_moment_for_each_given_leg():
         cases(changed(c, reference=LIVE_REFERENCE))
 
 
-def test_a_seed_draws_leg_size_and_sign_and_text_repeats_the_fault():
+def test_seed_draws_leg_size_and_sign_of_a_fault_and_the_printed_text_recreates_it():
     c = load("virtual")
     drawn: list[Any] = [
         case.fault for seed in range(40) for case in cases(c, ["encoder_jump/HOLD"], seed=seed)
@@ -79,7 +79,7 @@ def one(pattern: str, configuration: str = "virtual") -> dict[str, Any]:
         pytest.param("bus_flood/HOLD", "FAULT", ["STALE"], [], marks=pytest.mark.long),
     ],
 )
-def test_a_case_ends_as_expected_for_its_kind_and_reports_the_leg(pattern, ended, faults, legs):
+def test_fault_matrix_case_ends_in_the_expected_mode_and_reports_fault_and_leg(pattern, ended, faults, legs):
     found = one(pattern)
     assert found["faults"] == faults
     assert ended in {None, found["ended"]}
@@ -99,26 +99,26 @@ def test_swapped_wires_do_not_drive_a_leg_through_its_brake(moment):
     assert f"drive {LEG} does not obey" in found["reason"]
 
 
-def test_an_unobservable_fault_gets_the_verdict_not_observable():
+def test_fault_that_no_measurement_shows_is_classified_as_not_observable():
     found = one("encoder_scale/HOLD")
     assert (found["ended"], found["faults"]) == ("PARKED", [])
     assert found["verdict"].startswith("not observable with these sensors")
 
 
-def test_a_case_is_reproducible():
+def test_fault_matrix_case_repeated_with_its_seed_gives_the_same_result():
     first, second = (one("frames_loss/LOADING") for _ in range(2))
     assert {**first, "wall_s": 0} == {**second, "wall_s": 0}
 
 
 @pytest.mark.long
-def test_a_case_with_endless_brake_tests_is_judged_in_half_a_minute():
+def test_fault_matrix_case_with_endless_brake_tests_is_classified_within_30_s():
     """Lost frames: the platform stands on closed brakes, and its holding force stays on."""
     found = one("frames_loss/TRACKING", "desktop")
     assert (found["ended"], found["faults"]) == ("HELD", ["STALE"])
 
 
 @pytest.mark.parametrize("mode", [Mode.LOADING, Mode.APPROACH, Mode.TRACKING, Mode.PARKING])
-def test_the_time_of_a_fault_with_a_mode_counts_from_its_entry(mode):
+def test_time_of_a_fault_tied_to_a_mode_counts_from_the_entry_into_that_mode(mode):
     words = f"encoder_noise leg=0 sigma=0 mode={mode.name} at=0.02"
     fault = read_fault(words)
     with bench(with_faults(load("virtual"), [words])) as lockstep:
@@ -133,7 +133,7 @@ def test_the_time_of_a_fault_with_a_mode_counts_from_its_entry(mode):
         assert 1e-9 * begins_ns(fault) - 1e-3 * entered == pytest.approx(0.02, abs=1e-3)
 
 
-def test_the_summary_lists_injected_faults_and_those_not_reached(tmp_path):
+def test_run_summary_lists_injected_faults_and_faults_whose_time_was_not_reached(tmp_path):
     """The shipped path never stands still, so the HOLD moment is not reached."""
     faults = ("freeze leg=0 mode=HOLD", "noise leg=1 sigma=1e-6 at=1", "jump leg=2 at=99 by=1e-3")
     words = [word for fault in faults for word in ("--fault", f"encoder_{fault}")]
@@ -147,7 +147,7 @@ def test_the_summary_lists_injected_faults_and_those_not_reached(tmp_path):
     assert summary["replay"]["agrees"], "faults are in the frames, which the log has"
 
 
-def test_the_command_prints_a_table_and_writes_json_and_junit(tmp_path):
+def test_fault_matrix_command_prints_a_table_and_writes_json_and_junit_files(tmp_path):
     files = ["--json", str(tmp_path / "a.json"), "--junit", str(tmp_path / "a.xml")]
     only = ["--only", "drive_reset/LOADING", "--only", "plant_crash/LOADING", "--legs", "3,0,3"]
     result = CliRunner().invoke(main, ["faults", "virtual", "--jobs", "1", *only, *files])
@@ -174,7 +174,7 @@ for _n, _kind in enumerate(KINDS):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", BENCHES)
-def test_every_fault_at_every_moment_is_within_its_bound(name):
+def test_leg_motion_after_every_fault_at_every_moment_is_within_its_bound(name):
     """Each case ends held, or with its printed verdict."""
     found = run_matrix(load(name), only=SHARES[name])["matrix"]
     assert len(found) == len(SHARES[name])

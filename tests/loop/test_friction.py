@@ -28,7 +28,9 @@ DRY = {"coulomb_friction_N": 200}
         ({}, DRY, 1.5, 2.0),  # 1.79
     ],
 )
-def test_with_a_model_of_the_drives_only_the_sampling_error_remains(model, plant, least_mm, most_mm):
+def test_tracking_error_with_modelled_friction_and_inertia_is_that_of_sampling(
+    model, plant, least_mm, most_mm
+):
     """The plant's friction code is independent of the controller's."""
     ran = succeeded(changed("ideal", controller={"model": model}, plant={"model": plant}))
     assert least_mm < ran.summary["tracking"]["peak_leg_error_mm"] < most_mm
@@ -68,7 +70,7 @@ def slowest_and_fastest(reflected_kg):
     return sqrt(Kp / np.max(found)), sqrt(Kp / np.min(found))
 
 
-def test_a_gear_keeps_the_natural_frequency_nearly_constant():
+def test_high_gear_ratio_keeps_the_natural_frequency_nearly_constant_along_a_path():
     slowest, fastest = slowest_and_fastest(0.0)
     assert fastest / slowest == pytest.approx(5.5, rel=0.02)
     slowest, fastest = slowest_and_fastest(GEAR_kg)
@@ -76,7 +78,7 @@ def test_a_gear_keeps_the_natural_frequency_nearly_constant():
     assert slowest < W_N < fastest
 
 
-def test_the_error_of_a_decentralised_law_falls_with_motor_inertia():
+def test_tracking_error_of_a_decentralised_law_decreases_with_motor_inertia():
     """The motors' inertia dominates the platform's changing inertia."""
     factors = np.array([0.5, 1.0, 2.0])
     peaks = [succeeded(geared(by * GEAR_kg)).summary["tracking"]["peak_leg_error_mm"] for by in factors]
@@ -84,7 +86,7 @@ def test_the_error_of_a_decentralised_law_falls_with_motor_inertia():
     assert factors * peaks == pytest.approx((factors * peaks).mean(), rel=0.03)
 
 
-def test_without_a_gear_safety_stops_before_a_singularity():
+def test_run_without_gears_is_stopped_by_safety_before_a_singularity():
     """With legs 37 mm short of the far point there is no pose on this side of the singularity."""
     summary = run(geared(0.0)).summary
     assert summary["faults"] == ["CONDITION"]

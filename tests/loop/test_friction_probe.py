@@ -39,7 +39,7 @@ FRICTIONS = [(10.0, ODRIVE), (3.0, LEGS), (30.0, ODRIVE), (10.0, LEGS), (3.0, OD
 
 
 @pytest.mark.parametrize(("friction_N", "drives"), broad(FRICTIONS, quick=1))
-def test_a_leg_held_by_known_friction_is_not_pushed(friction_N, drives):
+def test_leg_at_rest_under_friction_within_the_configured_value_gets_no_probing_force(friction_N, drives):
     run = moved(friction_N, drives)
     assert run.success, run.summary["trouble"]
     stands = np.abs(np.diff(run.log.frame("plant.length").to_numpy(), axis=0)) < 1e-7
@@ -53,7 +53,7 @@ def test_a_leg_held_by_known_friction_is_not_pushed(friction_N, drives):
     ("friction_N", "drives", "at_s"),
     broad([(*each, (2.7, 3.9)[n % 2]) for n, each in enumerate(FRICTIONS)], 2),
 )
-def test_a_frozen_encoder_is_found_before_its_leg_is_far_off(friction_N, drives, at_s):
+def test_frozen_encoder_under_friction_is_detected_before_its_leg_is_far_off(friction_N, drives, at_s):
     leg = 2
     run = moved(friction_N, drives, faults=[f"encoder_freeze at={at_s} leg={leg}"])
     assert run.summary["faults"] == ["ENCODER"]
@@ -63,7 +63,7 @@ def test_a_frozen_encoder_is_found_before_its_leg_is_far_off(friction_N, drives,
     assert abs(true.iloc[-1] - true.iloc[0]) < FOUND_m
 
 
-def test_a_push_against_unstated_friction_shows_in_column_and_summary():
+def test_probing_force_against_friction_above_the_configured_value_is_logged_and_summarised():
     run = moved(10.0, LEGS, monitor={"friction_N": 5.0})
     force = run.log.frame("probe_force").to_numpy()
     pushes = int(((force[1:] != 0.0) & (force[:-1] == 0.0)).sum())
@@ -90,7 +90,7 @@ def test_a_push_against_unstated_friction_shows_in_column_and_summary():
         quick=1,
     ),
 )  # fmt: skip
-def test_an_observer_does_not_mistake_a_standing_leg_for_a_load(fault, drives):
+def test_wrench_observer_does_not_take_a_leg_held_by_brake_or_frozen_encoder_for_a_load(fault, drives):
     observer = {"wrench": {"source": "observer"}}
     run = moved(10.0, drives, estimation=observer, faults=[fault])
     (finding, *_) = run.summary["story"]["findings"]

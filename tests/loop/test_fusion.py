@@ -44,7 +44,7 @@ def good() -> Tracked:
 
 
 @pytest.mark.long
-def test_a_coarse_tracker_does_not_spoil_precise_legs(good):
+def test_fused_pose_of_precise_encoders_and_a_coarse_tracker_is_as_precise_as_the_encoders(good):
     alone = track(changed("virtual", **SOON))
     assert alone.ending.mode is good.ending.mode is Mode.PARKED
     assert good.rms_mm <= 1.05 * alone.rms_mm
@@ -54,7 +54,7 @@ def test_a_coarse_tracker_does_not_spoil_precise_legs(good):
     assert good.warned == 0
 
 
-def test_late_tracker_samples_are_used_at_their_own_instant(good):
+def test_late_tracker_samples_are_fused_at_the_time_of_their_stamp(good):
     """At up to 1.1 m/s a sample dated 5 ms too late would be off by 5 mm."""
     came = good.rows["tracker"] != 0
     assert 0.15 < came.mean() < 0.2
@@ -67,7 +67,7 @@ def test_late_tracker_samples_are_used_at_their_own_instant(good):
 
 
 @pytest.mark.parametrize("leg", broad([3, 0], quick=1))
-def test_an_encoder_that_slips_by_2_mm_is_reported_and_left_out(leg):
+def test_encoder_that_slips_by_2_mm_is_reported_and_excluded_from_the_fused_pose(leg):
     found = track(fused(), EncoderJump(leg=leg, at_s=MOVING_S, by_m=2e-3))
     assert found.end == UNPROVEN
     slipped = found.rows["legs_slipped"]
@@ -79,14 +79,14 @@ def test_an_encoder_that_slips_by_2_mm_is_reported_and_left_out(leg):
     assert_near(found)
 
 
-def test_a_slip_is_a_fault_if_no_encoder_may_be_lost():
+def test_encoder_slip_is_a_fault_if_the_configuration_allows_no_lost_encoder():
     found = track(fused(estimation=NO_LEG), EncoderJump(leg=2, at_s=MOVING_S, by_m=2e-3))
     assert found.ending.mode is Mode.HELD
     assert Fault.ENCODER in found.faults
     assert "encoder of leg 2" in found.ending.reason
 
 
-def test_on_shut_brakes_the_pose_stays_and_no_other_leg_is_doubted():
+def test_fused_pose_stays_constant_on_closed_brakes_and_no_other_encoder_is_excluded():
     """A slip in motion faults; the brakes stop the platform from 1 m/s with one leg missing."""
     with bench(fused(estimation=NO_LEG), EncoderJump(leg=2, at_s=MOVING_S, by_m=2e-3), seed=1) as lockstep:
         until(lockstep, Mode.HELD)
@@ -100,7 +100,7 @@ def test_on_shut_brakes_the_pose_stays_and_no_other_leg_is_doubted():
 
 
 @pytest.mark.long
-def test_the_loss_of_any_single_encoder_is_survived():
+def test_run_with_pose_fusion_continues_after_the_loss_of_any_single_encoder():
     """The pose stays within 0.4 mm RMS and 1.5 mm, and the loop stays closed on it."""
     errors, beside = [], []
     for seed in range(12):
@@ -118,7 +118,7 @@ def test_the_loss_of_any_single_encoder_is_survived():
 @pytest.mark.parametrize(
     ("fault", "end"), broad([(EncoderFreeze, UNPROVEN), (DriveSilence, (Mode.PARKED, Fault.NONE))], quick=1)
 )
-def test_a_frozen_encoder_and_a_silent_drive_are_survived_in_motion(fault, end):
+def test_run_with_pose_fusion_continues_with_a_frozen_encoder_or_silent_drive_in_motion(fault, end):
     found = track(fused(), fault(leg=1, at_s=0.8, for_s=0.8))
     assert found.end == end
     assert found.rows["legs_lost"].max() == 2
@@ -133,13 +133,13 @@ def test_a_frozen_encoder_and_a_silent_drive_are_survived_in_motion(fault, end):
         (ANY_LEG, [EncoderLost(leg=4, at_s=MOVING_S), DriveSilence(leg=1, at_s=MOVING_S)]),
     ],
 )
-def test_a_loss_that_is_not_allowed_faults_after_five_stale_ticks(fusion, faults):
+def test_encoder_loss_without_permission_to_continue_faults_after_five_periods(fusion, faults):
     found = track(fused(estimation={"pose": "fused", "fusion": fusion}), *faults)
     assert (found.ending.mode, found.faults & Fault.STALE) == UNPROVEN
     assert found.rows["age"][-1].max() == 4, "the tick after is no longer tracking"
 
 
-def test_a_lost_leg_without_tracker_ends_in_a_fault():
+def test_lost_encoder_without_a_tracker_ends_in_a_fault():
     blind = changed(fused(), plant={"sensors": {"tracker": {"lost_percent": 100}}})
     found = track(blind, EncoderLost(leg=4, at_s=MOVING_S))
     assert found.ending.mode is Mode.HELD
@@ -148,15 +148,15 @@ def test_a_lost_leg_without_tracker_ends_in_a_fault():
     assert found.position_mm.max() < 1.5
 
 
-def test_a_push_on_the_platform_is_not_taken_for_a_slip():
+def test_push_on_the_platform_is_not_taken_for_an_encoder_slip():
     found = track(fused(), PUSH)
     assert found.ending.mode is Mode.PARKED
     assert found.rows["legs_slipped"].max() == 0
-    assert found.rms_mm < 0.02, "a load that the model does not know of makes it lag by as much"
+    assert found.rms_mm < 0.02, "an unmodelled load makes the platform lag by as much"
 
 
 @pytest.mark.long
-def test_the_observer_does_not_learn_from_its_own_prediction():
+def test_wrench_observer_does_not_drift_if_a_lost_encoder_leaves_a_direction_unmeasured():
     """In the direction that no leg measures, filter and observer would confirm each other."""
     observer = {"source": "observer", "bus_ms": 0.5, "drive_lag_ms": 0.796}
     c = changed(fused(), estimation={"wrench": observer})
@@ -169,7 +169,7 @@ def test_the_observer_does_not_learn_from_its_own_prediction():
 
 
 @pytest.mark.long
-def test_an_unknown_load_shifts_the_pose_in_the_unmeasured_direction():
+def test_unknown_load_with_a_lost_encoder_shifts_the_fused_pose_in_the_unmeasured_direction():
     lost = EncoderLost(leg=1, at_s=0.3)
     small = track(fused(), lost, WrenchStep(at_s=0.8, force_N=(0.0, 0.0, -300.0), moment_N_m=(0.0, 0.0, 0.0)))
     assert small.end == UNPROVEN
@@ -183,7 +183,7 @@ def test_an_unknown_load_shifts_the_pose_in_the_unmeasured_direction():
     assert_near(known)
 
 
-def test_a_fused_run_with_a_lost_leg_replays_to_the_bit(tmp_path):
+def test_run_with_pose_fusion_and_a_lost_encoder_replays_to_the_bit(tmp_path):
     sensors = {"tracker": TRACKER, "imu": {"rate_Hz": 500}, "wrench": {"rate_Hz": 500}}
     push = WrenchStep(at_s=0.8, force_N=(100.0, -200.0, 300.0), moment_N_m=(0.0, 30.0, 0.0))
     faults = FaultPlan([EncoderLost(leg=5, at_s=0.3), push])
@@ -215,7 +215,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("sections", "message"), REFUSED, ids=str)
-def test_impossible_fusion_settings_are_refused_with_a_reason(sections, message):
+def test_invalid_pose_fusion_settings_are_refused_with_a_reason(sections, message):
     with pytest.raises(ConfigurationError, match=message):
         changed(fused() if "estimation" not in sections else fused(estimation=None), **sections)
 
@@ -266,14 +266,14 @@ RUNS: list[tuple[str, int, dict[str, Any] | None, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("name", "seed", "fusion", "sections"), broad(RUNS, quick=1))
-def test_errors_match_the_covariance_and_no_good_leg_is_left_out(name, seed, fusion, sections):
+def test_fused_pose_errors_match_the_covariance_with_no_good_encoder_excluded(name, seed, fusion, sections):
     found = track(stated(name, fusion, **sections), seed=seed, covariance=covariance)
     assert_consistent(found, RMS_MM[name])
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("leg", [4, 1])
-def test_a_lost_encoder_under_friction_is_survived_with_honest_covariance(leg):
+def test_errors_of_the_fused_pose_with_a_lost_encoder_and_friction_match_its_covariance(leg):
     """In the direction that no leg measures, only the tracker of 1 mm acts against friction: within 1 mm the
     lengths are nonlinear.
     """
@@ -293,7 +293,7 @@ def test_a_lost_encoder_under_friction_is_survived_with_honest_covariance(leg):
     ("name", "seeds"),
     [("virtual", [5]), *(pytest.param(name, range(10), marks=pytest.mark.long) for name in SHORT)],
 )
-def test_errors_match_the_covariance_whatever_the_stamps_of_the_tracker(name, seeds):
+def test_errors_of_the_fused_pose_match_its_covariance_for_any_tracker_time_stamps(name, seeds):
     """Stamps are 0 to 5 ms late; an encoder is lost in the middle of the path."""
     whole, lost = [], []
     for seed in seeds:
@@ -310,14 +310,14 @@ def test_errors_match_the_covariance_whatever_the_stamps_of_the_tracker(name, se
     assert np.max(lost) < 1.5
 
 
-def test_drift_of_the_tracker_is_reported_within_3_s():
+def test_drift_of_the_pose_tracker_is_reported_within_3_s():
     drifts = changed(stated("virtual"), plant={"sensors": {"tracker": {"position_drift_m_s": [0, 1e-3, 0]}}})
     found = track(drifts)
     assert found.rows["tick"][np.argmax(found.rows["warnings"] & Warn.SENSOR != 0)] < 3000
     assert found.warned == Warn.SENSOR
 
 
-def test_leg_errors_follow_from_encoders_friction_and_monitor():
+def test_assumed_leg_errors_of_pose_fusion_follow_from_encoder_friction_and_monitor_settings():
     found = leg_errors(stated("lab"))
     steps = np.random.default_rng(1).uniform(-0.5, 0.5, (2, 200_000)) * [[1.5e-7], [1e-7]]
     assert found.length_std_m == pytest.approx(steps.sum(axis=0).std(), rel=0.01)

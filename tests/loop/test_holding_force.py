@@ -43,7 +43,7 @@ ALONG = 3
 
 
 @pytest.mark.parametrize(("leg", "by", "estimation"), broad(JUMPS, quick=5))
-def test_an_encoder_jump_does_not_change_the_holding_force(leg, by, estimation):
+def test_encoder_jump_does_not_change_the_force_that_holds_the_platform(leg, by, estimation):
     c = changed("virtual", estimation=estimation) if estimation else load("virtual")
     ran = run(c, EncoderJump(leg=leg, at_s=JUMP_s, by_m=by), stop_s=3.0)
     assert ran.ending.mode is Mode.HELD, ran.ending
@@ -53,7 +53,7 @@ def test_an_encoder_jump_does_not_change_the_holding_force(leg, by, estimation):
     assert np.abs(tau[-1]).max() < 1.2 * np.abs(tau[: round(1e3 * JUMP_s)]).max()
 
 
-def test_a_drifting_encoder_does_not_push_the_brake_of_a_held_leg_open():
+def test_drifting_encoder_of_a_held_leg_does_not_raise_its_force_against_the_closed_brake():
     """With a drift above 5 mm/s nothing would end the run: after 6 s the encoder reads 90 mm, and the brakes
     hold 20 kN.
     """
@@ -69,7 +69,7 @@ def test_a_drifting_encoder_does_not_push_the_brake_of_a_held_leg_open():
 
 
 @pytest.mark.parametrize("force_N", broad([-5_000, 5_000], quick=1))
-def test_a_drive_holds_a_load_on_a_leg_with_an_open_brake(force_N):
+def test_drive_that_alone_holds_a_loaded_leg_with_an_open_brake_does_not_count_as_disobedient(force_N):
     """This is not a drive that disobeys: only its own force holds that leg."""
     c = load("virtual")
     w = jacobian(build_platform(c.platform), *pose_arrays(c.platform.home))[ALONG] * force_N
@@ -89,18 +89,18 @@ def test_a_drive_holds_a_load_on_a_leg_with_an_open_brake(force_N):
         DriveSilence(leg=1, mode="UNLOADING", at_s=SECOND_s),
     ],
 )
-def test_a_lost_measurement_keeps_the_last_holding_force(second):
+def test_holding_force_stays_at_its_last_value_when_a_leg_measurement_is_lost(second):
     stuck = BrakeStuckOpen(leg=ALONG, mode="PARKING")
     push = WrenchStep(mode="UNLOADING", at_s=LOAD_s, force_N=(0, 0, -5_000), moment_N_m=(0, 0, 0))
     ran = run(load("virtual"), stuck, push, second, stop_s=2.0)
     assert ran.ending.mode is Mode.HELD
     struck = ran.first(Mode.UNLOADING) + round(1e3 * SECOND_s)
-    assert len(ran.rows) > struck + 100, "it has struck"
+    assert len(ran.rows) > struck + 100, "the fault has struck"
     np.testing.assert_allclose(ran.rows["tau"][-1], ran.rows["tau"][struck - 1], atol=300.0)
     assert ran.moved(struck) < BOUND_m
 
 
-def test_legs_that_never_rest_are_braked_whatever_the_reaction_table(monkeypatch):
+def test_legs_that_never_come_to_rest_in_a_stop_are_braked_under_any_configured_reaction(monkeypatch):
     """Without the rule a stop would follow a stop for ever."""
     monkeypatch.setattr(hil.loop.cycle, "REST_m_s", -1.0)
     ran = run(changed("virtual", reactions={"following": "ss1"}), stop_s=2.0)
@@ -120,7 +120,7 @@ def test_six_invalid_encoders_do_not_count_as_silent_drives():
 
 
 @pytest.mark.long
-def test_a_leg_without_encoder_proves_no_brake_despite_a_known_pose():
+def test_brake_test_of_a_leg_without_encoder_is_not_passed_by_its_fused_pose():
     """The filter assumes that a platform on shut brakes stands, so its estimate cannot prove a brake."""
     ran = run(fused(), EncoderLost(leg=2, at_s=0.8), stop_s=1.6)
     assert (ran.ending.mode, ran.cycle.proven) == (Mode.HELD, False)
@@ -131,7 +131,7 @@ def test_a_leg_without_encoder_proves_no_brake_despite_a_known_pose():
 
 
 @pytest.mark.parametrize("mode", ["IDLE", "PARKED"])
-def test_foreign_power_on_without_consent_causes_an_emergency_stop(mode):
+def test_drives_powered_by_a_forged_command_before_arm_or_after_parking_cause_an_emergency_stop(mode):
     """The forged command comes before ours in every tick, so OFF is the second command and is refused."""
     ran = run(load("virtual"), FramesForgedCommand(mode=mode, at_s=0.0, force_N=6000.0), stop_s=2.0)
     assert ran.ending.faults & Fault.SECOND_CONTROLLER

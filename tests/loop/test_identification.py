@@ -59,11 +59,11 @@ def measured(axis):
     return np.array(axis.frequency_Hz), G, np.array(axis.coherence)
 
 
-def test_all_six_axes_match_the_truth_within_2_percent_and_2_degrees(made):
+def test_identified_response_of_all_six_axes_is_within_2_percent_and_2_degrees_of_the_closed_form(made):
     for axis in made.model.measured:
         f, G, coherence = measured(axis)
         judged = (f <= 30.0) & (coherence > 0.9)
-        assert judged.sum() >= 7, "the axis was excited, and it shows"
+        assert judged.sum() >= 7, "the excitation of the axis shows in its coherence"
         off = G[judged] / truth(f[judged])
         assert np.abs(np.abs(off) - 1).max() <= 0.02
         assert np.abs(np.rad2deg(np.angle(off))).max() <= 2.0
@@ -71,7 +71,7 @@ def test_all_six_axes_match_the_truth_within_2_percent_and_2_degrees(made):
     assert not any(made.summary["limited_ticks"].values())
 
 
-def test_the_slope_of_the_phase_is_the_total_delay(made):
+def test_phase_slope_of_the_identified_axes_gives_the_total_delay_of_the_loop(made):
     """By a straight line through the measured phases, and by the fit."""
     turned = [measured(axis) for axis in made.model.measured]
     f = np.concatenate([f for f, _, _ in turned])
@@ -87,7 +87,7 @@ def test_the_slope_of_the_phase_is_the_total_delay(made):
         assert 2 * made.fit.delays.total_std_s < 0.02e-3
 
 
-def test_the_uncertainty_bound_covers_the_truth(made):
+def test_identified_uncertainty_bound_covers_the_closed_form_with_0_025_ms_more_delay(made):
     """The closed form with 0.025 ms more delay is not the nominal one; the bound must cover the difference."""
     nominal, profile = made.model.nominal, made.model.uncertainty
     f = np.array(profile.frequency_Hz)

@@ -71,7 +71,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("place", "buses"), broad(CASES, quick=2))
-def test_rates_stay_correct_under_late_syncs(place, buses):
+def test_measured_leg_rates_stay_correct_if_the_sync_frame_is_late(place, buses):
     """By the clock at wake-up, 1.06 m/s would read 2.01 m/s."""
     ran = run(place, buses)
     moving, heard = ran.rows["tick"] >= MOVES[0], ran.rows["age"] == 0
@@ -81,13 +81,13 @@ def test_rates_stay_correct_under_late_syncs(place, buses):
     assert np.abs(ran.true[moving]).max() > 0.8
     assert heard[moving].mean() > 0.9
     assert error[moving & ~strays].max() < 0.03
-    assert error[moving & strays].max(initial=0.0) < 0.2, "an answer may be that to the SYNC before"
+    assert error[moving & strays].max(initial=0.0) < 0.2, "an answer may belong to the SYNC before"
     assert not ran.rows["faults"].any()
     assert not ran.rows["legs_doubted"].any()
 
 
 @pytest.mark.parametrize(("place", "buses"), CASES[:2])
-def test_a_run_with_late_syncs_replays_to_the_bit(place, buses):
+def test_run_with_late_sync_frames_replays_to_the_bit(place, buses):
     ran = run(place, buses)
 
     class Kept:
@@ -98,4 +98,4 @@ def test_a_run_with_late_syncs_replays_to_the_bit(place, buses):
     assert compared.exact, compared.first
     delays = ran.rows["latch_ns"]
     assert delays.max() > STALLS_NS[0]
-    assert (np.ptp(delays, axis=1).max() > STALLS_NS[0]) == buses, "each bus has its own"
+    assert (np.ptp(delays, axis=1).max() > STALLS_NS[0]) == buses, "each bus has its own delay"

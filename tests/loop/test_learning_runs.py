@@ -58,7 +58,7 @@ def told(*arguments: Any) -> Any:
 
 
 @pytest.mark.long
-def test_the_error_falls_from_run_to_run_down_to_the_floor(made):
+def test_iterative_learning_reduces_the_tracking_error_from_run_to_run_down_to_the_noise_floor(made):
     folder, found = made
     assert not found.trouble
     rms = [step.rms_mm for step in found.steps]
@@ -73,7 +73,7 @@ def test_the_error_falls_from_run_to_run_down_to_the_floor(made):
     assert found.steps[3].peak_mm == pytest.approx(np.abs(e).max(), rel=1e-9)
 
 
-def test_the_log_contains_the_learned_forces_and_replays_by_itself(made, tmp_path):
+def test_log_contains_the_learned_forces_and_replays_without_their_file(made, tmp_path):
     folder, _ = made
     alone = tmp_path / "alone.mcap"
     shutil.copy(log(folder, 2), alone)
@@ -99,10 +99,12 @@ def test_the_log_contains_the_learned_forces_and_replays_by_itself(made, tmp_pat
     assert np.abs(moving["tau_learned"][-1]).max() > 100.0
     unloading = rows[rows["mode"] == Mode.UNLOADING]
     assert not unloading["tau_learned"].any()
-    assert np.abs(unloading["tau"][0] - moving["tau"][-1]).max() < 1.0, "it goes with the holding force"
+    assert np.abs(unloading["tau"][0] - moving["tau"][-1]).max() < 1.0, (
+        "the holding force takes over the learned force without a step"
+    )
 
 
-def test_learning_from_one_log_gives_the_same_forces_as_the_series(made, tmp_path):
+def test_learning_command_on_one_log_gives_the_same_forces_as_the_automatic_series(made, tmp_path):
     folder, _ = made
     out = tmp_path / "next.csv"
     result = told(log(folder, 0), "-o", out)
@@ -134,7 +136,7 @@ def spoiled(rows: Any, **columns: Any) -> Any:
         ({"warnings": int(Warn.FORCE_STEP)}, r"limits cut the forces at 250 ticks"),
     ],
 )
-def test_a_run_with_a_fault_stop_hold_or_limit_is_refused_for_learning(made, columns, said, monkeypatch):
+def test_log_with_a_fault_stop_hold_or_limit_is_refused_for_learning(made, columns, said, monkeypatch):
     path = log(made[0], 0)
     recorded = recorded_run(path)
     along = recorded.rows[: np.flatnonzero(recorded.rows["mode"] == Mode.TRACKING)[499] + 1]
@@ -144,7 +146,7 @@ def test_a_run_with_a_fault_stop_hold_or_limit_is_refused_for_learning(made, col
 
 
 @pytest.mark.long
-def test_ten_learning_runs_reduce_the_error_twentyfold(tmp_path):
+def test_ten_iterative_learning_runs_reduce_the_tracking_error_twentyfold(tmp_path):
     """The book's path on the bus, with masses of the law at 0.9 of the robot's."""
     found = rehearse(with_scale(load("virtual"), 0.9), 10, Knowledge(), tmp_path, lambda _: None)
     assert not found.trouble
@@ -159,7 +161,7 @@ def test_ten_learning_runs_reduce_the_error_twentyfold(tmp_path):
 
 
 @pytest.mark.long
-def test_learned_forces_fade_out_when_a_hold_interrupts_the_run(made, tmp_path):
+def test_learned_feedforward_forces_fade_out_when_a_hold_command_interrupts_the_run(made, tmp_path):
     folder, _ = made
     c = Log.open(log(folder, 2)).configuration
     (tmp_path / "c.yaml").write_text(c)

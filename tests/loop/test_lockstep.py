@@ -45,7 +45,7 @@ def recorded(virtual, tmp_path_factory):
     return simulate(virtual, log=path, duration_s=ONE_PASS_S), Log.open(path)
 
 
-def test_a_run_on_the_bus_has_no_bump_and_tracks_within_half_a_mm(recorded):
+def test_simulated_run_over_the_bus_starts_without_a_bump_and_tracks_within_half_a_mm(recorded):
     summary, log = recorded
     rows = log.rows()
     assert summary["success"], summary
@@ -57,7 +57,7 @@ def test_a_run_on_the_bus_has_no_bump_and_tracks_within_half_a_mm(recorded):
     assert np.abs(entry["q"] - rows["q"][rows["mode"] == Mode.LOADING][0]).max() < 20e-6
 
 
-def test_two_equal_runs_give_equal_bytes(virtual, recorded, tmp_path):
+def test_two_simulations_of_one_configuration_give_equal_bytes(virtual, recorded, tmp_path):
     again = tmp_path / "again.mcap"
     simulate(virtual, log=again, duration_s=ONE_PASS_S, check_replay=False)
     first, second = recorded[1], Log.open(again)
@@ -67,14 +67,14 @@ def test_two_equal_runs_give_equal_bytes(virtual, recorded, tmp_path):
 
 
 @pytest.mark.parametrize("duration_s", [0.002, 0.05, 0.35])
-def test_a_stop_before_the_drives_are_ready_ends_the_simulation(virtual, tmp_path, duration_s):
+def test_simulation_that_is_stopped_before_the_drives_are_ready_ends(virtual, tmp_path, duration_s):
     summary = simulate(virtual, log=tmp_path / "short.mcap", duration_s=duration_s)
     assert summary["final_mode"] == "PARKED"
     assert summary["duration_s"] < 1.5
 
 
 @pytest.mark.parametrize("layout", ["fd", "classic"])
-def test_the_frames_of_a_tick_end_at_their_arbitration_times(virtual, layout, monkeypatch):
+def test_simulated_frames_of_a_period_end_at_the_times_of_bus_arbitration(virtual, layout, monkeypatch):
     """SYNC, six answers and the commands, in ticks without a status frame; identifiers not in the order of
     legs.
     """
@@ -183,7 +183,7 @@ def kept_of(name: str, *, at_once: bool) -> tuple[Kept, Ending]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_many_ticks_in_one_call_equal_single_calls(name):
+def test_many_simulated_periods_in_one_call_give_the_same_rows_as_single_calls(name):
     (alone, one), (together, many) = kept_of(name, at_once=False), kept_of(name, at_once=True)
     assert together.rows == alone.rows
     assert together.frames == alone.frames

@@ -59,7 +59,7 @@ FLIPS = [(1.05, (3,)), (1.25, (1,)), (1.5, (2,)), (1.75, (0,)), (2.25, (4, 5))]
 
 
 @pytest.mark.parametrize(("start_s", "leg"), broad([(t, leg) for t, legs in FLIPS for leg in legs], quick=2))
-def test_a_flipped_sign_on_a_loaded_leg_ends_the_run_within_20_ms(start_s, leg):
+def test_lyapunov_monitor_ends_a_run_within_20_ms_after_the_force_sign_of_a_loaded_leg_flips(start_s, leg):
     rows = run(watched("fault"), DriveSign(leg=leg, at_s=start_s), until_s=start_s + 0.05)
     before = rows[np.searchsorted(rows["t_ns"], 1e9 * start_s) - 1]
     assert abs(before["tau"][leg]) > 1000.0
@@ -69,7 +69,7 @@ def test_a_flipped_sign_on_a_loaded_leg_ends_the_run_within_20_ms(start_s, leg):
 
 
 @pytest.mark.parametrize("controller", [SLIDING, POSE], ids=["sliding mode", "pose"])
-def test_a_flipped_sign_is_found_under_other_certified_laws(controller):
+def test_lyapunov_monitor_detects_a_flipped_force_sign_under_other_certified_laws(controller):
     rows = run(watched("fault", controller=controller), DriveSign(leg=5, at_s=1.75), until_s=1.8)
     assert rows["faults"][-1] == Faults.CERTIFICATE
     assert 1e-9 * rows["t_ns"][-1] - 1.75 <= 0.020
@@ -85,7 +85,7 @@ def nominal(tmp_path_factory):
     return summary, Log.open(path).rows()
 
 
-def test_the_nominal_run_stays_far_from_its_bound_and_replays(nominal):
+def test_lyapunov_function_of_a_nominal_run_stays_far_below_its_bound_and_the_run_replays(nominal):
     summary, rows = nominal
     assert summary["success"], summary
     assert summary["replay"]["different_ticks"] == 0
@@ -99,7 +99,7 @@ def test_the_nominal_run_stays_far_from_its_bound_and_replays(nominal):
         assert np.isnan(rows[column][rows["mode"] > Mode.STOPPING]).all(), column
 
 
-def test_V_belongs_to_the_smallest_reachable_ellipsoid(nominal):
+def test_logged_lyapunov_function_is_that_of_the_smallest_reachable_ellipsoid(nominal):
     """At critical damping V = 3/2 wn^2 ((de + wn e / 4)^2 + 9/16 wn^2 e^2), wn = 20 rad/s."""
     _, rows = nominal
     rows = rows[rows["mode"] == Mode.TRACKING]
@@ -110,14 +110,14 @@ def test_V_belongs_to_the_smallest_reachable_ellipsoid(nominal):
 
 
 @pytest.mark.parametrize(("disturbance", "alarmed"), [(8.0, False), (6.0, True)])
-def test_a_load_alarms_only_above_the_stated_disturbance(disturbance, alarmed):
+def test_lyapunov_monitor_alarms_only_for_a_load_above_the_configured_disturbance(disturbance, alarmed):
     rows = run(watched("warn", disturbance, limits={"following_error_m": 0.1}), LOAD, until_s=2.45)
     assert bool(alarms(rows)) == alarmed
-    assert not rows["faults"].any(), "it only warns"
+    assert not rows["faults"].any(), "the monitor only warns"
     assert np.sqrt(rows["lyapunov"].max(where=np.isfinite(rows["lyapunov"]), initial=0.0)) > 8.0
 
 
-def test_a_predicting_law_raises_no_alarm_under_the_stated_load():
+def test_law_with_delay_compensation_raises_no_lyapunov_alarm_under_the_configured_disturbance():
     """The law does not predict the load: 7.7 m/s^2 on a leg act like 10.2."""
     rows = run(watched("warn", controller=AHEAD), LOAD, until_s=2.4)
     assert alarms(rows) == 0
@@ -125,7 +125,7 @@ def test_a_predicting_law_raises_no_alarm_under_the_stated_load():
 
 
 @pytest.mark.parametrize(("name", "until_s"), broad([("lab", 2.1), ("vcan50", 3.5), ("ideal", 1.3)], quick=2))
-def test_other_shipped_configurations_raise_no_certificate_alarm(name, until_s):
+def test_other_shipped_configurations_raise_no_lyapunov_alarm(name, until_s):
     rows = run(watched("warn", name=name), until_s=until_s)
     assert np.isfinite(rows["lyapunov_share"]).sum() > 0.3 * len(rows)
     assert alarms(rows) == 0

@@ -55,7 +55,9 @@ def standing(tmp_path_factory):
 
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
-def test_a_mounted_robot_behaves_as_the_standing_one_with_its_frames_turned(mounting, standing, tmp_path):
+def test_robot_on_wall_or_ceiling_behaves_as_the_standing_one_with_frames_turned(
+    mounting, standing, tmp_path
+):
     Q = MOUNTINGS[mounting]
     here, there = (log.frame("tau", "q", "p", "mode") for log in (standing, run(tmp_path, Q)))
     assert here["mode"].tolist() == there["mode"].tolist()

@@ -165,7 +165,7 @@ WHILES = [
 
 
 @pytest.mark.parametrize(("name", "seed", "end_s", "least"), broad(WHILES, quick=2))
-def test_loads_and_stalls_raise_no_alarm_in_a_short_run(name, seed, end_s, least):
+def test_configured_loads_and_stalls_of_the_machine_raise_no_alarm_in_a_short_run(name, seed, end_s, least):
     ending, stalls = run(name, seed, end_s)
     assert ending.success, ending
     assert stalls > least
@@ -173,7 +173,7 @@ def test_loads_and_stalls_raise_no_alarm_in_a_short_run(name, seed, end_s, least
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", VIRTUAL)
-def test_loads_and_stalls_raise_no_alarm_for_two_minutes(name):
+def test_configured_loads_and_stalls_of_the_machine_raise_no_alarm_in_runs_of_two_minutes(name):
     """Runs in sequence, with engaging and parking, for two minutes."""
     ticks, seed = 0, 1000
     while ticks < 120.0 * load(name).loop.rate_Hz:

@@ -41,7 +41,7 @@ def waiting(mode: Mode, *, go: bool = True, speed: float = 1.0, parks: bool = Fa
         (waiting(Mode.IDLE), False),
     ],
 )
-def test_a_run_that_waits_on_its_way_without_more_commands_is_stopped(now: Any, stops: bool) -> None:
+def test_simulation_that_pauses_on_its_path_after_its_last_command_is_stopped(now: Any, stops: bool) -> None:
     told: list[str] = []
     course = Course(now, event=lambda _t, _level, text: told.append(text))
     for _ in range(3):
@@ -49,7 +49,7 @@ def test_a_run_that_waits_on_its_way_without_more_commands_is_stopped(now: Any, 
     assert told == [LEFT_ALONE] * stops, "once"
 
 
-def test_only_a_run_that_waits_for_arm_is_stopped_without_more_commands() -> None:
+def test_simulation_that_waits_for_arm_is_stopped_after_its_last_command() -> None:
     assert Course(waiting(Mode.IDLE), armed=False).left_alone() == STOP
     course = Course(waiting(Mode.IDLE))
     assert course.left_alone() == ()
@@ -58,7 +58,7 @@ def test_only_a_run_that_waits_for_arm_is_stopped_without_more_commands() -> Non
 
 
 @pytest.mark.parametrize("mode", [Mode.PARKED, Mode.FAULT])
-def test_a_run_that_stays_ends_when_no_more_commands_can_come(mode: Mode) -> None:
+def test_simulation_set_to_stay_after_parking_ends_after_its_last_command(mode: Mode) -> None:
     faults = Fault.ESTOP if mode is Mode.FAULT else Fault.NONE
     course = Course(waiting(mode, faults=faults), goes_on=True)
     assert course.ending(2000) is None
@@ -78,14 +78,14 @@ def test_a_run_that_stays_ends_when_no_more_commands_can_come(mode: Mode) -> Non
         quick=2,
     ),
 )
-def test_a_run_ends_even_if_its_commands_leave_it_waiting(tmp_path, commands, operator, last):
+def test_simulation_ends_although_its_last_command_leaves_the_run_waiting(tmp_path, commands, operator, last):
     run, rows = simulated(tmp_path, commands, operator=operator)
     assert run.success == (last[-1] == "PARKED")
     assert modes(rows)[-len(last) :] == last
     assert rows["tick"][-1] < 5000
 
 
-def test_a_run_with_an_early_arm_ends_and_logs_each_refusal(tmp_path):
+def test_simulation_with_commands_before_its_drives_are_ready_ends_and_logs_each_refusal(tmp_path):
     commands = [
         *[(0.0, "arm"), (0.0, "speed 50"), (0.001, "start"), (0.002, "jog x 1 for 0.03")],
         *[(0.003, "setpoint 0 0 1"), (0.003, "release"), (0.004, "reset")],

@@ -56,14 +56,14 @@ def of_force(home, leg, faster):
 @LEGS
 @SIGNS
 @pytest.mark.parametrize(("faster", "refused"), [(0.099, False), (0.101, True)])
-def test_a_leg_that_accelerates_against_its_force_loses_its_force(watch, home, leg, sign, faster, refused):
+def test_leg_faster_by_0_1_m_per_s_against_its_force_loses_its_force(watch, home, leg, sign, faster, refused):
     start = np.full(6, sign)
     assert not watch(start, -start)
     assert watch(start + of_force(home, leg, sign * faster), -start) is refused
     assert watch.obedience.refused == (leg if refused else None)
 
 
-def test_a_push_on_the_platform_refuses_no_leg(watch, home):
+def test_push_on_the_platform_removes_the_force_of_no_leg(watch, home):
     model, p, R, J = home
     twist = np.linalg.solve(model.mass_matrix(p, R), [0, 0, -20e3, 0, 0, 0])
     watch(np.zeros(6), np.zeros(6))
@@ -73,7 +73,7 @@ def test_a_push_on_the_platform_refuses_no_leg(watch, home):
 
 
 @SIGNS
-def test_the_change_of_rates_within_20_ms_counts(watch, sign):
+def test_disobedient_drive_is_detected_by_the_change_of_leg_rates_within_20_ms(watch, sign):
     tau = only(3, -sign)
     for speed in np.arange(0.0, 0.4, 0.0052):
         assert not watch(only(3, sign * speed), tau)
@@ -83,14 +83,14 @@ def test_the_change_of_rates_within_20_ms_counts(watch, sign):
     assert watch.obedience.refused == 3
 
 
-def test_only_measured_motion_against_the_force_counts(watch):
+def test_disobedient_drive_is_detected_only_by_measured_motion_against_its_force(watch):
     for speed in (0.1, 0.5, 0.9):
         assert not watch(only(1, speed), only(1, 1.0))
         assert not watch(only(1, speed), np.zeros(6))
         assert not watch(only(4, speed), only(4, -1.0), age=(4,))
 
 
-def test_only_one_leg_is_refused_until_a_reset(watch):
+def test_only_one_disobedient_leg_loses_its_force_until_a_reset(watch):
     watch(only(2, 0.1), only(2, -1.0))
     assert watch(only(2, 0.3), only(2, -1.0))
     assert not watch(only(5, 0.9), only(5, -1.0)), "one cause is the sparsest"
@@ -100,7 +100,7 @@ def test_only_one_leg_is_refused_until_a_reset(watch):
 
 
 @pytest.mark.parametrize("begin", [Obedience.forget, Obedience.reset])
-def test_rates_before_a_fault_or_a_reset_do_not_count(watch, begin):
+def test_leg_rates_before_a_fault_or_reset_are_not_used_to_detect_a_disobedient_drive(watch, begin):
     watch(only(5, 0.1), only(5, -1.0))
     begin(watch.obedience)
     assert not watch(only(5, 0.9), only(5, -1.0))
@@ -108,7 +108,7 @@ def test_rates_before_a_fault_or_a_reset_do_not_count(watch, begin):
 
 
 @LEGS
-def test_a_single_leg_on_closed_brakes_may_gain_a_tenth_of_a_m_per_s(home, leg):
+def test_single_leg_on_closed_brakes_counts_as_disobedient_above_a_rate_gain_of_0_1_m_per_s(home, leg):
     for faster, refused in ((0.1, False), (np.nextafter(0.1, 1.0), True)):
         watch = Watch(home)
         watch(np.zeros(6), only(leg, -1.0))
@@ -116,7 +116,7 @@ def test_a_single_leg_on_closed_brakes_may_gain_a_tenth_of_a_m_per_s(home, leg):
 
 
 @LEGS
-def test_the_residual_of_other_legs_may_be_three_tenths_to_the_bit(home, leg):
+def test_disobedient_leg_is_detected_if_other_legs_have_at_most_0_3_of_the_total_rate_change(home, leg):
     """Next to 91 of the leg, 25, 13 and 5 of others: 819 of 9100 in squares, which is 0.3^2."""
     for one_more, refused in ((0.0, True), (1e-9, False)):
         watch = Watch(home)
@@ -126,7 +126,7 @@ def test_the_residual_of_other_legs_may_be_three_tenths_to_the_bit(home, leg):
 
 
 @pytest.mark.parametrize("rate_Hz", [20.0, 50.0, 100.0])
-def test_a_slow_loop_compares_a_leg_with_the_tick_before(home, rate_Hz):
+def test_loop_below_100_Hz_detects_a_disobedient_drive_by_rates_of_consecutive_periods(home, rate_Hz):
     watch = Watch(home, rate_Hz)
     tau = only(3, -1.0)
     for speed in (0.0, 0.09, 0.18, 0.27):
@@ -135,7 +135,7 @@ def test_a_slow_loop_compares_a_leg_with_the_tick_before(home, rate_Hz):
 
 
 @LEGS
-def test_a_tick_with_a_missing_leg_is_not_used_for_comparison(watch, leg):
+def test_period_with_an_unmeasured_leg_is_not_used_to_detect_a_disobedient_drive(watch, leg):
     tau = only(3, -1.0)
     assert not watch(only(3, 0.0), tau)
     assert not watch(only(3, 0.5), tau, age=(leg,))

@@ -53,7 +53,7 @@ def held() -> dict[str, Any]:
     return {source: succeeded(bench(source=source), STEP).rows for source in ("observer", "sensor", "none")}
 
 
-def test_a_step_of_1_kN_is_estimated_within_5_percent_after_50_ms(held):
+def test_wrench_observer_estimates_a_step_of_1_kN_within_5_percent_after_50_ms(held):
     rows = held["observer"]
     t = rows["t_ns"] * 1e-9
     wrench = rows["wrench"]
@@ -64,7 +64,7 @@ def test_a_step_of_1_kN_is_estimated_within_5_percent_after_50_ms(held):
     assert np.abs(wrench[after, 1:]).max() < 50.0
 
 
-def test_a_load_sensed_before_the_brakes_open_makes_no_bump():
+def test_load_measured_by_a_sensor_before_the_brakes_open_causes_no_bump():
     """The ramp ends at the static force that holds platform and load."""
     first = WrenchStep(at_s=0.0, force_N=LOAD[:3], moment_N_m=LOAD[3:])
     loaded = succeeded(bench(source="sensor"), first).rows
@@ -80,7 +80,7 @@ def test_a_load_sensed_before_the_brakes_open_makes_no_bump():
 
 
 @pytest.mark.parametrize("source", ["observer", "sensor"])
-def test_feedback_of_the_wrench_removes_the_static_error(held, source):
+def test_feedback_of_the_estimated_or_measured_wrench_removes_the_static_pose_error(held, source):
     without, fed_back = final_error(held["none"]), final_error(held[source])
     c = load("virtual")
     platform = build_platform(c.platform)
@@ -94,7 +94,7 @@ def test_feedback_of_the_wrench_removes_the_static_error(held, source):
 BOOK = {"periods": 1}
 
 
-def test_an_unknown_delay_appears_as_a_load():
+def test_delay_that_is_not_configured_appears_as_a_load_in_the_wrench_observer():
     rows = succeeded(bench(BOOK, bus_ms=0.0, drive_lag_ms=0.0)).rows
     assert np.abs(rows["wrench"]).max() > 50.0
 
@@ -114,7 +114,7 @@ def test_wrench_feedback_is_stable_with_wrong_masses_and_delays(bandwidth_Hz, sc
     assert np.abs(entry["q_d"] - entry["q"]).max() < 20e-6, "wrong masses make no bump at the entry"
 
 
-def test_the_load_estimate_lasts_until_the_brakes_are_shut(held):
+def test_wrench_estimate_is_kept_until_the_brakes_are_closed(held):
     rows = held["observer"]
     parking, powered = rows["mode"] == Mode.PARKING, np.isin(rows["mode"], [Mode.PARKING, Mode.UNLOADING])
     assert np.abs(np.diff(rows["tau"][parking], axis=0)).max() < 10.0

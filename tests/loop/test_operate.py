@@ -27,7 +27,7 @@ def operated(tmp_path_factory):
     return simulated(tmp_path_factory.mktemp("operate"), commands, operator=BRISK)
 
 
-def test_hold_speed_start_and_park_end_at_the_first_pose_and_replay(operated):
+def test_run_with_hold_speed_start_and_park_commands_ends_at_its_first_pose_and_replays(operated):
     run, rows = operated
     assert run.success, run.summary
     assert run.summary["replay"]["different_ticks"] == 0
@@ -37,7 +37,7 @@ def test_hold_speed_start_and_park_end_at_the_first_pose_and_replay(operated):
     assert set(run.summary["limited_ticks"].values()) == {0}
 
 
-def test_on_hold_the_reference_rests_on_the_path_and_resumes_there(operated):
+def test_hold_command_stops_the_reference_on_its_path_and_start_resumes_it_there(operated):
     _, rows = operated
     held = rows[3510:4000]
     assert (held["mode"] == Mode.TRACKING).all()
@@ -57,13 +57,13 @@ def test_on_hold_the_reference_rests_on_the_path_and_resumes_there(operated):
         quick=1,
     ),
 )
-def test_a_replay_detects_a_changed_order(operated, tick, orders):
+def test_replay_detects_a_changed_operator_command(operated, tick, orders):
     run, _ = operated
     verdict = replay(Changed(run.log, tick, orders), new_cycle(load("virtual")))
     assert tick <= verdict.first[0].tick <= tick + WITHIN
 
 
-def test_without_the_key_motion_stops_in_time_until_a_new_start(tmp_path):
+def test_motion_stops_in_time_when_the_enabling_key_is_released_and_resumes_after_a_new_start(tmp_path):
     held = [(0.02 * k, "key") for k in range(150)]
     again = [(4.0 + 0.02 * k, "key") for k in range(200)]
     run, rows = simulated(
@@ -79,7 +79,7 @@ def test_without_the_key_motion_stops_in_time_until_a_new_start(tmp_path):
     assert t[5600] > t[5000]
 
 
-def test_a_run_that_stays_parks_arms_again_and_recovers_from_estop(tmp_path):
+def test_run_set_to_stay_parks_and_can_be_armed_again_also_after_an_emergency_stop(tmp_path):
     commands = [
         *[(0.5, "arm"), (2.0, "park"), (4.8, "reset"), (5.2, "arm"), (6.8, "estop")],
         *[(7.5, "reset"), (8.0, "arm"), (10.5, "stop"), (12.0, "end")],
@@ -105,7 +105,7 @@ PARKS = [
 
 
 @pytest.mark.parametrize(("start", "sections", "commands", "ends", "within"), broad(PARKS, quick=1))
-def test_park_works_in_the_approach_and_just_before_the_paths_end(
+def test_park_command_in_the_approach_or_just_before_the_path_ends_parks_the_platform(
     tmp_path, start, sections, commands, ends, within
 ):
     settings = BRISK | {"start": start}
@@ -141,7 +141,7 @@ def jogged(tmp_path_factory):
     return simulated(tmp_path_factory.mktemp("jog"), COMMANDS, operator=SLOW)
 
 
-def test_a_run_with_jogs_returns_to_its_path_parks_and_replays(jogged):
+def test_run_with_jog_commands_returns_to_its_path_parks_and_replays(jogged):
     run, rows = jogged
     assert run.success, run.summary["trouble"]
     assert run.summary["replay"]["different_ticks"] == 0
@@ -150,7 +150,7 @@ def test_a_run_with_jogs_returns_to_its_path_parks_and_replays(jogged):
     assert np.abs(rows["q_d"] - rows["q"])[1300:-500].max() < 5e-4
 
 
-def test_only_the_jogged_leg_changes_its_length(jogged):
+def test_jog_of_one_leg_changes_the_length_of_that_leg_only(jogged):
     _, rows = jogged
     q = lengths(rows[LEG])
     assert np.abs(np.delete(q - q[0], 3, axis=1)).max() < 1e-9
@@ -159,7 +159,7 @@ def test_only_the_jogged_leg_changes_its_length(jogged):
     assert np.abs(rows["dq_d"][LEG]).max() == pytest.approx(0.7 * 0.2)
 
 
-def test_start_resumes_where_the_path_was_left(jogged):
+def test_start_command_after_a_jog_resumes_the_path_where_it_was_left(jogged):
     _, rows = jogged
     left = rows[LEFT]
     again = np.flatnonzero((rows["tick"] > BACK) & (rows["reference_time_s"] == left["reference_time_s"]))
@@ -171,7 +171,7 @@ def test_start_resumes_where_the_path_was_left(jogged):
     assert (np.diff(on["reference_time_s"]) >= 0.0).all()
 
 
-def test_a_jog_stops_before_the_soft_end_of_the_stroke(tmp_path):
+def test_jog_of_a_leg_stops_before_the_soft_end_of_its_stroke(tmp_path):
     run, rows = simulated(
         tmp_path, [(1.6, "hold"), (2.4, "jog leg0 1 for 6"), (9.5, "park")], operator=SLOW, check_replay=False
     )
@@ -182,7 +182,7 @@ def test_a_jog_stops_before_the_soft_end_of_the_stroke(tmp_path):
     assert not rows["twist_d"][9400].any()
 
 
-def test_releasing_the_key_ends_a_jog(tmp_path):
+def test_release_of_the_enabling_key_ends_a_jog(tmp_path):
     run, rows = simulated(
         tmp_path,
         [(0.0, "key for 4"), (2.0, "hold"), (3.0, "jog x -1 for 3")],

@@ -94,7 +94,9 @@ def check(run, script):
     assert run.success, run.summary["trouble"]
     assert run.summary["replay"]["different_ticks"] == 0
     counted = run.summary["commands"]
-    assert counted["given"] + counted["not_reached"] == len(SCRIPTS[script][0]), "it may have parked before"
+    assert counted["given"] + counted["not_reached"] == len(SCRIPTS[script][0]), (
+        "the run may have parked before later commands"
+    )
     assert counted["given"] > 1
     rows = run.log.rows()
     assert rows["mode"][-1] == Mode.PARKED
@@ -102,7 +104,7 @@ def check(run, script):
     return rows
 
 
-def test_simultaneous_commands_of_two_clients_act_in_sequence(tmp_path):
+def test_commands_of_two_operator_clients_in_one_period_act_in_sequence(tmp_path):
     """The last command of a tick counts; a jog of one client is not disturbed by another's."""
     rows = check(operated(tmp_path, "lab", "two clients"), "two clients")
     assert np.abs(rows["twist_d"][3100:3500]).max() == 0.0, "hold came last"
@@ -118,5 +120,5 @@ SOME = [
 
 @pytest.mark.long
 @pytest.mark.parametrize(("law", "script"), SOME)
-def test_any_operator_command_at_any_time_ends_parked(tmp_path, law, script):
+def test_run_with_any_operator_command_at_any_time_ends_parked(tmp_path, law, script):
     check(operated(tmp_path, law, script), script)

@@ -37,7 +37,7 @@ ENCODERS: dict[str, Any] = {"plant": {"drives": {"encoder_resolution_m": 1e-6}}}
 
 
 @pytest.mark.long
-def test_the_error_grows_with_the_delay():
+def test_tracking_error_grows_with_the_delay_of_the_loop():
     benches = {
         "ideal": load("ideal"),
         "encoders of 1 um": changed("ideal", **ENCODERS),
@@ -53,7 +53,7 @@ def test_the_error_grows_with_the_delay():
         assert peak == pytest.approx(ZOH_IDEAL_MM * delay_s / HOLD_S, rel=0.05)
 
 
-def test_a_pose_is_held_within_encoder_steps():
+def test_constant_pose_is_held_within_encoder_steps():
     pose = {"position_m": [0.05, -0.05, 1.02]}
     rows = succeeded(changed("virtual", reference={"type": "hold", "pose": pose, "duration_s": 1})).tracking
     error = np.abs(rows["p"] - pose["position_m"]).max(axis=1)
@@ -61,7 +61,7 @@ def test_a_pose_is_held_within_encoder_steps():
     assert error[rows["reference_time_s"] > 0.8].max() < 2e-6, "two steps of the encoder"
 
 
-def test_quintic_way_points_are_reached():
+def test_way_points_of_a_quintic_path_are_reached():
     points = [(0, [0, 0, 1]), (1.0, [0.1, -0.1, 1.05]), (2.2, [-0.1, 0.05, 0.95]), (3.0, [0, 0, 1])]
     reference = {
         "interpolation": "quintic",
@@ -75,7 +75,7 @@ def test_quintic_way_points_are_reached():
         assert np.abs(here - p).max() < (0.5e-3 if instant == half_way[0] else 0.1e-3)
 
 
-def test_a_sampled_path_is_followed_and_replays_without_its_file(tmp_path):
+def test_path_of_a_csv_file_is_followed_and_its_log_replays_without_the_file(tmp_path):
     def circle(t):
         return 0.04 * (1 - np.cos(np.pi * t / 2)), 0.05 * np.sin(np.pi * t / 2) ** 2
 
@@ -130,14 +130,14 @@ def peak_mm(found: Any) -> float:
 
 
 @pytest.mark.long
-def test_compensation_reduces_the_error_of_the_bus_to_a_third():
+def test_delay_compensation_reduces_the_tracking_error_caused_by_the_bus_to_a_third():
     without, compensated = peak_mm(rows("bus")), peak_mm(rows("bus, compensated"))
     assert without <= 0.15
     assert compensated <= min(0.05, without / 3)
 
 
 @pytest.mark.long
-def test_the_remaining_error_comes_from_the_jump_of_the_acceleration():
+def test_tracking_error_left_by_delay_compensation_comes_from_the_jump_of_the_acceleration():
     """The jump falls between two ticks. Where the path is smooth, from 0.6 s to 1.1 s, an eighth of the error
     remains.
     """
@@ -152,13 +152,13 @@ def test_the_remaining_error_comes_from_the_jump_of_the_acceleration():
 
 
 @pytest.mark.long
-def test_compensating_twice_the_delay_is_worse_than_none():
+def test_compensation_of_twice_the_delay_tracks_worse_than_no_compensation():
     wrong = peak_mm(rows("bus, twice the delay"))
     assert wrong > peak_mm(rows("bus"))
     assert wrong > 3 * peak_mm(rows("bus, compensated"))
 
 
-def test_safety_and_log_use_the_present_state_and_reference():
+def test_safety_and_log_use_present_state_and_reference_although_the_law_uses_predicted_ones():
     """The same path in both runs, tick by tick, and the recorded pose is the measured one."""
     a, b = rows("bus"), rows("bus, compensated")
     np.testing.assert_array_equal(a["tick"], b["tick"])
@@ -168,7 +168,7 @@ def test_safety_and_log_use_the_present_state_and_reference():
     assert np.abs(a["q"][moving] - b["q"][moving]).max() < 0.2e-3
 
 
-def test_entry_and_exit_have_no_bump_with_delay_compensation():
+def test_start_and_end_of_motion_have_no_bump_with_delay_compensation():
     """The jump of the first acceleration, 2.5 kN, is commanded a tick early: 1.8 ms ahead lies on the path."""
     ran = run(bench("virtual", TRUE, hold_s=0.0), stop_s=2.2)
     assert ran.ending.success, ran.ending

@@ -103,7 +103,7 @@ def test_mass_centre_and_inertia_of_an_unknown_payload_are_identified(found):
     assert np.abs(tensor(found.theta) / truth() - 1.0).max() < 0.1
 
 
-def test_a_given_reflected_mass_is_not_estimated(found, folder):
+def test_reflected_mass_given_as_an_option_is_not_estimated_in_payload_identification(found, folder):
     summary = folder / "given.json"
     result = identify(folder / "a.mcap", "--reflected", 2, "--json", summary)
     assert result.exit_code == 0, result.output
@@ -117,7 +117,7 @@ def test_a_given_reflected_mass_is_not_estimated(found, folder):
 
 
 @pytest.mark.long
-def test_the_printed_block_restores_the_error_of_the_empty_platform(found, tmp_path):
+def test_payload_block_printed_by_identification_restores_the_empty_platforms_tracking_error(found, tmp_path):
     """On the book's path: inverse dynamics with the identified payload, compared with a run without payload."""
     book = loaded_plant.changed(load("virtual"), reference={"periods": 1})
     heavy = loaded_plant.changed(book, **LADEN)
@@ -136,7 +136,7 @@ def test_the_printed_block_restores_the_error_of_the_empty_platform(found, tmp_p
 
 
 @pytest.mark.long
-def test_the_friction_of_every_leg_of_lab_is_identified(more):
+def test_friction_and_reflected_mass_of_every_leg_of_configuration_lab_are_identified(more):
     summary = more / "lab.json"
     result = identify(more / "lab.mcap", "--json", summary)
     assert result.exit_code == 0, result.output
@@ -155,7 +155,7 @@ def test_the_friction_of_every_leg_of_lab_is_identified(more):
     assert given["block"]["controller"]["model"]["reflected_mass_kg"] == [9.9] * 6
 
 
-def test_unreported_forces_are_computed_from_the_commands(folder, monkeypatch):
+def test_identification_computes_forces_the_drives_do_not_report_from_commands(folder, monkeypatch):
     """Layout classic does not contain them. The configured delay, 1 ms, is 0.5 ms too long, which the fit
     finds.
 
@@ -204,7 +204,7 @@ def relative_errors(name, axes, seed, path):
 
 
 @pytest.mark.long
-def test_errors_agree_with_their_standard_errors(tmp_path):
+def test_errors_of_the_identified_payload_agree_with_the_reported_standard_errors(tmp_path):
     """In the closed loop, where the law returns the encoders' noise as force."""
     e = [
         relative_errors(name, axes, seed, tmp_path / f"{k}-{seed}.mcap")
@@ -216,7 +216,7 @@ def test_errors_agree_with_their_standard_errors(tmp_path):
 
 
 @pytest.mark.long
-def test_standard_errors_match_the_spread_over_noise_seeds(tmp_path):
+def test_standard_errors_of_the_identified_payload_match_the_spread_over_noise_seeds(tmp_path):
     """White noise of 2 um on every encoder, in the closed loop, 12 seeds."""
     c = loaded_plant.changed(virtual(), reference={**MOTION, "duration_s": 14})
     plant = loaded_plant.changed(c, **LADEN)

@@ -37,7 +37,7 @@ def drawn(count, kg, places, seed):
 
 
 @pytest.mark.long
-def test_inside_the_box_the_loop_is_stable_and_within_its_bound():
+def test_loop_with_a_payload_inside_the_configured_range_is_stable_and_within_its_error_bound():
     c = boxed(BOX_kg, BOX_m)
     verdict = judge(c)
     assert verdict.figures["coupled_axes_covered"]
@@ -51,7 +51,7 @@ def test_inside_the_box_the_loop_is_stable_and_within_its_bound():
 
 
 @pytest.mark.long
-def test_outside_the_box_the_verdict_is_not_proven():
+def test_stability_with_payloads_outside_the_designed_range_is_reported_as_not_proven():
     for mass, at in drawn(20, OUTSIDE_kg, OUTSIDE_m, 6):
         least = np.linalg.eigvals(gamma(mass, at)).real.min()
         assert least < 1 / (1 + INERTIA)

@@ -39,7 +39,7 @@ def at_rest_with_the_brakes_commanded_shut(ran):
 @pytest.mark.parametrize(
     ("fault", "found"), [(PUSH, Fault.FOLLOWING), (DriveSign(leg=2, at_s=AT_s), Fault.DRIVE)]
 )
-def test_a_platform_off_its_reference_is_braked_with_the_force_on(fault, found, bound_m):
+def test_platform_with_excessive_following_error_is_braked_with_the_force_on(fault, found, bound_m):
     ran = run(load("virtual"), fault, stop_s=END_s)
     assert ran.ending.mode is Mode.PARKED, ran.ending
     assert ran.ending.faults & found
@@ -55,7 +55,7 @@ def test_a_platform_off_its_reference_is_braked_with_the_force_on(fault, found, 
     assert ran.moved(ran.struck) < bound_m
 
 
-def test_swapped_wires_and_an_open_brake_together_are_still_held(bound_m):
+def test_platform_with_swapped_motor_wires_and_an_open_brake_on_another_leg_is_still_held(bound_m):
     faults = DriveSign(leg=2, at_s=AT_s), BrakeStuckOpen(leg=4, at_s=AT_s)
     ran = run(load("virtual"), *faults, stop_s=END_s)
     assert ran.ending.mode is Mode.HELD, ran.ending
@@ -68,7 +68,7 @@ def test_swapped_wires_and_an_open_brake_together_are_still_held(bound_m):
 @pytest.mark.parametrize(
     "fault", broad([EncoderLost(leg=0, at_s=AT_s), DriveSilence(leg=1, at_s=AT_s)], quick=1)
 )
-def test_an_unmeasured_leg_is_braked_and_keeps_its_force(fault, bound_m):
+def test_leg_without_measurement_is_braked_and_keeps_its_force(fault, bound_m):
     ran = run(load("virtual"), fault, stop_s=END_s)
     assert ran.ending.mode is Mode.HELD, ran.ending
     assert f"leg {fault.leg}" in ran.ending.reason
@@ -77,7 +77,7 @@ def test_an_unmeasured_leg_is_braked_and_keeps_its_force(fault, bound_m):
     assert np.abs(ran.rows["tau"][-1]).min() > 0
 
 
-def test_a_run_parks_after_the_brake_test_of_a_leg_that_returns(bound_m):
+def test_run_parks_after_a_silent_drive_returns_and_passes_its_brake_test(bound_m):
     ran = run(load("virtual"), DriveSilence(leg=1, at_s=AT_s, for_s=0.3), stop_s=END_s)
     assert ran.ending.mode is Mode.PARKED, ran.ending
     assert not ran.ending.success
@@ -87,7 +87,7 @@ def test_a_run_parks_after_the_brake_test_of_a_leg_that_returns(bound_m):
     assert ran.moved(ran.struck) < bound_m
 
 
-def test_the_reaction_table_decides_between_sto_and_ss1():
+def test_configured_reaction_to_a_following_error_decides_between_sto_and_ss1():
     """The same push: no force at once, or a controlled stop."""
     off = run(changed("virtual", reactions={"following": "sto"}), PUSH, stop_s=END_s)
     assert off.ending.mode is Mode.FAULT
@@ -97,7 +97,7 @@ def test_the_reaction_table_decides_between_sto_and_ss1():
     assert Mode.STOPPING in soft.modes()
 
 
-def test_a_controlled_stop_stays_on_the_path_and_parks():
+def test_controlled_stop_after_a_lyapunov_alarm_stays_on_the_path_and_parks():
     """A violated certificate is no reason to brake hard."""
     c = changed(
         "virtual",
@@ -115,7 +115,7 @@ def test_a_controlled_stop_stays_on_the_path_and_parks():
 
 
 @pytest.mark.parametrize(("leg", "fast_m_s"), [(2, 1.0), (4, 0.7)])
-def test_a_brake_that_closes_in_motion_keeps_the_legs_near_the_path(leg, fast_m_s, bound_m):
+def test_brake_that_closes_in_motion_is_detected_while_all_legs_are_near_the_path(leg, fast_m_s, bound_m):
     """Most of the motion comes from the speed of the platform on its path, while five brakes close: 30 ms."""
     at_s, close_s = 1.69, 0.03
     ran = run(load("virtual"), BrakeStuckClosed(leg=leg, at_s=at_s), stop_s=END_s)

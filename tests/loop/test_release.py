@@ -36,7 +36,7 @@ def asked(panel: OperatorPanel, signals: int, *, held: bool) -> tuple[Operator, 
     return panel.take(held=held)
 
 
-def test_a_second_signal_is_an_emergency_stop_except_while_held():
+def test_second_ctrl_c_is_an_emergency_stop_except_while_the_platform_is_held():
     panel = OperatorPanel()
     panel.running()
     assert asked(panel, 1, held=False) == (Operator.STOP,)
@@ -67,14 +67,14 @@ class Held:
         return Operator.RELEASE in heard.operator
 
 
-def test_a_release_sent_before_the_platform_was_held_is_refused(bus):
+def test_release_command_sent_before_the_platform_was_held_is_refused(bus):
     with OperatorChannel(*bus) as channel, OperatorClient(*bus) as client:
         held = Held(channel)
         client._socket.send(b"release")
         assert not held.tick(Mode.PARKING)
         assert client._socket.recv(100).startswith(b"refused: nothing is held")
         client._socket.send(b"release")
-        assert not held.tick(Mode.HELD), "it came before the platform was held"
+        assert not held.tick(Mode.HELD), "the release came before the platform was held"
         assert not held.tick(Mode.HELD)
         client._socket.send(b"release")
         assert held.tick(Mode.HELD)
@@ -82,7 +82,7 @@ def test_a_release_sent_before_the_platform_was_held_is_refused(bus):
         assert client._socket.recv(100) == b"taken"
 
 
-def test_a_flood_of_early_releases_does_not_release_a_held_platform(bus):
+def test_flood_of_early_release_commands_does_not_release_a_held_platform(bus):
     """A tick reads few lines, also the first one in HELD: earlier lines remain for the next."""
     with OperatorChannel(*bus) as channel, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as flood:
         held = Held(channel)
@@ -98,7 +98,7 @@ def test_a_flood_of_early_releases_does_not_release_a_held_platform(bus):
 
 @pytest.mark.parametrize("known", [True, False], ids=["known", "still to be let in"])
 @pytest.mark.parametrize("stays", [True, False])
-def test_an_early_release_that_is_read_late_is_refused_for_any_sender(bus, known, stays):
+def test_release_sent_before_and_read_after_the_hold_began_is_refused_for_any_sender(bus, known, stays):
     """Other clients send in between, and the sender may be new, or may have disconnected."""
     with OperatorChannel(*bus) as channel, contextlib.ExitStack() as opened:
         held = Held(channel)
@@ -125,7 +125,7 @@ def test_an_early_release_that_is_read_late_is_refused_for_any_sender(bus, known
         assert [held.tick(Mode.HELD) for _ in range(2)].count(True) == 1
 
 
-def test_the_daemon_holds_through_each_ctrl_c_and_ends_after_release():
+def test_real_time_loop_holds_the_platform_despite_ctrl_c_and_ends_after_release():
     """The ideal configuration, in the daemon itself, with a brake that does not close when it parks."""
     panel, held, leaving = OperatorPanel(), [0], iter(range(2000))
     said: list[str] = []

@@ -127,7 +127,7 @@ def loaded(name: str, scale: float = 0.9) -> Tracked:
 
 
 @pytest.mark.parametrize("name", ["sliding", "redesign", "hinf", "mu"])
-def test_a_robust_law_stays_within_2_mm_without_chattering(name):
+def test_robust_law_with_a_light_model_and_a_load_tracks_within_2_mm_without_chattering(name):
     plain = loaded("plain")
     assert plain.peak_mm == pytest.approx(34.0, abs=0.5)
     assert loaded(name).peak_mm <= 2.0
@@ -136,7 +136,7 @@ def test_a_robust_law_stays_within_2_mm_without_chattering(name):
     assert name in {"sliding", "redesign"} or loaded(name).lasting_mm <= 0.05
 
 
-def test_the_sliding_variable_and_the_error_stay_within_their_bounds():
+def test_sliding_variable_and_tracking_error_of_sliding_mode_stay_within_their_bounds():
     found = loaded("sliding")
     assert np.abs(found.de + LAMBDA * found.e).max() <= PHI
     assert np.abs(found.e).max() <= PHI / LAMBDA
@@ -144,29 +144,29 @@ def test_the_sliding_variable_and_the_error_stay_within_their_bounds():
     assert DISTURBANCE + ERROR * (ACCELERATION + part + K) < K, "an error of the model acts on all of ddq*"
 
 
-def test_the_redesign_stays_in_its_layer_and_error_bound():
+def test_lyapunov_redesign_stays_within_its_boundary_layer_and_error_bound():
     found = loaded("redesign")
     assert np.linalg.norm(found.de + W_N * found.e, axis=1).max() <= EPSILON
     assert np.abs(found.e).max() <= EPSILON / W_N
 
 
 @pytest.mark.parametrize("name", ["sliding", "redesign"])
-def test_in_its_layer_a_robust_law_equals_a_linear_one_of_equal_gains(name):
+def test_robust_law_inside_its_boundary_layer_equals_a_linear_law_of_equal_gains(name):
     found, twin = loaded(name), loaded(f"{name}'s gains")
     assert found.peak_mm == pytest.approx(twin.peak_mm, rel=1e-3)
     assert found.variation == pytest.approx(twin.variation, rel=1e-2)
 
 
-def test_without_a_layer_the_force_chatters():
+def test_force_of_a_robust_law_without_boundary_layer_chatters():
     assert loaded("switches").variation > 100.0 * loaded("plain").variation
-    assert loaded("switches").peak_mm < 1.0, "it holds the path, at the drives' expense"
+    assert loaded("switches").peak_mm < 1.0, "the law tracks the path, at the expense of the drives"
 
 
 # -- what H-infinity buys --------------------------------------------------------------------------------------
 
 
 @pytest.mark.long
-def test_at_equal_crossover_hinf_reduces_only_the_lasting_error():
+def test_hinf_law_at_equal_crossover_reduces_the_static_error_under_load_but_not_the_peak():
     hinf, equal = loaded("hinf"), loaded("hinf's crossover")
     assert hinf.peak_mm == pytest.approx(0.83, abs=0.02)
     assert equal.peak_mm == pytest.approx(0.95, abs=0.02)
@@ -179,7 +179,7 @@ AXES = {"x_m": 0.0, "y_m": 1.0, "z_m": 2.0, "rx_deg": 0.5, "ry_deg": 1.5, "rz_de
 
 @pytest.mark.long
 @pytest.mark.parametrize(("frequency_Hz", "amplitude_m", "smaller"), [(3.0, 0.01, 2.0), (1.0, 0.03, 4.0)])
-def test_hinf_beats_pd_of_equal_crossover_with_constant_dynamics(frequency_Hz, amplitude_m, smaller):
+def test_hinf_law_on_constant_dynamics_beats_pd_of_equal_crossover(frequency_Hz, amplitude_m, smaller):
     w_c, rms = crossover("constant_hinf"), []
     assert w_c >= 120.0
     motion = [
@@ -203,7 +203,7 @@ def test_hinf_beats_pd_of_equal_crossover_with_constant_dynamics(frequency_Hz, a
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.9])
-def test_the_bound_exceeds_the_simulated_peak_by_at_most_half(scale):
+def test_printed_error_bound_exceeds_the_simulated_peak_by_at_most_half(scale):
     """For a load of that size in any direction, at any time."""
     proof = assess(bench(LAWS["plain"], scale), force_N=FORCE_N)
     bound, peak = np.array(proof["figures"]["ultimate_bound"]), np.abs(loaded("plain", scale).e).max(axis=0)

@@ -130,7 +130,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("case", COMMANDS.values(), ids=COMMANDS)
-def test_a_run_engages_once_and_stops_once(case):
+def test_run_sends_engage_once_and_stop_once(case):
     now = cycle(W, faults=Fault.NONE)
     course, given = Course(now, **case.course), {}
     for tick in range(case.first, 200):
@@ -140,13 +140,13 @@ def test_a_run_engages_once_and_stops_once(case):
     assert {tick: commands for tick, commands in given.items() if commands} == case.given
 
 
-def test_a_run_stops_once_at_its_duration_even_if_that_tick_is_skipped():
+def test_run_stops_once_at_its_duration_even_if_that_period_is_skipped():
     course = Course(cycle(T), 0.5)
     assert [course.commands(tick) for tick in (49, 53, 54)] == [(), S, ()]
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_only_a_ready_run_that_is_not_armed_waits_for_consent(mode):
+def test_run_waits_for_the_operators_arm_command_only_when_its_drives_are_ready(mode):
     assert Course(cycle(mode), armed=False).waits_for_consent == (mode is I)
     assert not Course(cycle(mode)).waits_for_consent
 
@@ -248,7 +248,7 @@ ENDS = {
 
 
 @pytest.mark.parametrize("case", ENDS.values(), ids=ENDS)
-def test_a_run_ends_in_the_right_tick_with_its_reason(case):
+def test_run_ends_in_the_expected_period_with_the_expected_reason(case):
     now = cycle(case.now["mode"], case.now["mode_tick"], case.now["faults"])
     more = {key: value for key, value in case.now.items() if key not in {"mode", "mode_tick", "faults"}}
     now.parts.rate_Hz = more.pop("rate_Hz", RATE_Hz)

@@ -20,7 +20,7 @@ from tests.loop.test_run_end import MOVES, F, H, P, S, T, W, X, change, cycle
         (P, Fault.NONE, "why", False),
     ],
 )
-def test_only_a_run_that_parks_without_fault_and_reason_is_a_success(mode, faults, reason, success):
+def test_run_succeeds_only_if_it_parks_without_fault_or_failure_reason(mode, faults, reason, success):
     assert Ending(mode, faults, reason, 9).success is success
 
 
@@ -28,7 +28,7 @@ def test_only_a_run_that_parks_without_fault_and_reason_is_a_success(mode, fault
     ("duration_s", "operator", "requested"),
     [(None, (), False), (0.1, (), True), *((None, (o,), o in {*S, *X, Operator.END}) for o in Operator)],
 )
-def test_a_stop_by_operator_or_duration_counts_as_requested(duration_s, operator, requested):
+def test_stop_by_operator_or_end_of_duration_counts_as_requested(duration_s, operator, requested):
     course = Course(cycle(P), duration_s)
     course.commands(10, operator)
     ending = course.ending(10)
@@ -38,7 +38,7 @@ def test_a_stop_by_operator_or_duration_counts_as_requested(duration_s, operator
 
 
 @pytest.mark.parametrize("asked", [(), S, (*S, Operator.END)])
-def test_a_stop_before_the_drives_are_ready_succeeds_only_on_request(asked):
+def test_run_stopped_before_its_drives_are_ready_succeeds_only_if_the_operator_stopped_it(asked):
     now = cycle(W, age=NEVER)
     course = Course(now, None if asked else 1.0)
     for tick in range(101):
@@ -57,14 +57,14 @@ def test_a_stop_before_the_drives_are_ready_succeeds_only_on_request(asked):
         (Stop.STRETCHED, "limits.stretch_percent"),
     ],
 )
-def test_a_stop_by_safety_is_a_failure_with_its_reason(stop, what):
+def test_run_stopped_by_safety_fails_with_the_limit_as_reason(stop, what):
     ending = Course(cycle(P, stop=stop)).ending(0)
     assert ending is not None
     assert (ending.success, ending.requested) == (False, False)
     assert what in ending.reason
 
 
-def test_the_plants_own_trouble_comes_before_the_controllers_reason():
+def test_failure_message_gives_the_cause_in_the_plant_before_the_fault_of_the_controller():
     course = Course(cycle(F, 1, Fault.STALE, counted_age=np.array([5] * 6)))
     assert course.ending(1) is None
     ending = course.ending(26)
@@ -79,7 +79,7 @@ def test_the_plants_own_trouble_comes_before_the_controllers_reason():
 
 
 @pytest.mark.parametrize("faults", [Fault.NONE, Fault.ESTOP])
-def test_a_plant_failure_is_reported_before_the_latched_fault(faults):
+def test_plant_failure_is_reported_before_the_lasting_fault_of_the_controller(faults):
     now = cycle(T)
     course = Course(now)
     assert course.ending(39) is None
@@ -95,7 +95,7 @@ def test_a_plant_failure_is_reported_before_the_latched_fault(faults):
     assert ending.story.plant == "the plant was killed"
 
 
-def test_a_run_that_stays_states_its_reason(monkeypatch):
+def test_run_that_continues_after_a_fault_reports_the_reason_and_whether_force_holds(monkeypatch):
     for force, holds in ((True, "with force"), (False, "Only the brakes")):
         now = cycle(H, faults=Fault.ESTOP)
         monkeypatch.setattr(now.parts.protocol.traits, "force_on_brakes", force)
@@ -115,7 +115,7 @@ def test_a_run_that_stays_states_its_reason(monkeypatch):
 
 
 @pytest.mark.parametrize(("mode", "released"), [(H, True), (Mode.UNLOADING, False)])
-def test_a_platform_counts_as_released_only_if_it_was_held(mode, released):
+def test_platform_counts_as_released_by_the_operator_only_if_it_was_held(mode, released):
     now = cycle(mode, faults=Fault.ESTOP)
     course = Course(now, stays=True)
     course.ending(0)

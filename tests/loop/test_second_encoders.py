@@ -98,7 +98,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("fault", "leg", "tracker"), broad(CASES, quick=3))
-def test_fault_of_an_encoder_in_motion_names_its_leg_and_which_of_the_two_is_wrong(fault, leg, tracker):
+def test_encoder_fault_in_motion_is_reported_with_its_leg_and_the_wrong_encoder(fault, leg, tracker):
     struck = (drives(leg, 0.6) | seconds(leg, 0.6))[fault]
     of = found(bench(tracker=tracker), struck)
     expected = (WITH_TRACKER if tracker else TOLD).get(fault, EITHER)
@@ -117,7 +117,7 @@ AT_REST = [
 
 
 @pytest.mark.parametrize(("fault", "which", "tracker"), broad(AT_REST, quick=1))
-def test_fault_of_an_encoder_at_rest_names_its_leg_or_leaves_nothing_to_see(fault, which, tracker):
+def test_encoder_fault_at_rest_is_reported_unless_both_encoders_read_equal(fault, which, tracker):
     struck = (drives(3, 0.6) | seconds(3, 0.6))[fault]
     of = found(bench(tracker=tracker, reference=REST), struck)
     assert of.which == which or (fault == "freeze" and of.which == EITHER), "as the brakes close"
@@ -132,12 +132,12 @@ def test_fault_of_an_encoder_at_rest_names_its_leg_or_leaves_nothing_to_see(faul
         (kinds.SensorDrift(sensor="length_4", mode="LOADING", by=5e-3), SECOND),
     ],
 )
-def test_on_closed_brakes_the_encoder_that_moves_alone_is_wrong(struck, which):
+def test_encoder_whose_reading_alone_changes_on_closed_brakes_is_reported_as_wrong(struck, which):
     of = found(bench(engage={"force_ramp_s": 0.5, "brake_release_s": 0.02, "blend_s": 0.1}), struck)
     assert (of.which, of.leg) == (which, 4)
 
 
-def test_drift_of_a_tenth_of_a_millimetre_per_second_is_found_within_5_s():
+def test_encoder_drift_of_0_1_mm_per_s_is_detected_by_a_second_encoder_within_5_s():
     slow = bench(reference={"type": "hold", "duration_s": 6.0})
     of = found(slow, kinds.EncoderDrift(leg=1, at_s=0.2, mode="TRACKING", by_m_s=1e-4))
     assert (of.which, of.leg) == (EITHER, 1)
@@ -145,7 +145,7 @@ def test_drift_of_a_tenth_of_a_millimetre_per_second_is_found_within_5_s():
     assert of.fault_tick - begin < 5000
 
 
-def test_run_goes_on_with_a_warning_where_so_configured():
+def test_contradiction_of_two_encoders_is_only_a_warning_if_so_configured():
     lengths = ENCODERS | {"channel": "sensors0", "on_contradiction": "warn"}
     of = found(bench(sensors={"lengths": lengths}), drives(0, 0.6)["scale"])
     assert (of.faults, of.which) == (Fault.NONE, NOTHING)
@@ -154,7 +154,7 @@ def test_run_goes_on_with_a_warning_where_so_configured():
     assert np.all(of.rows["warnings"][apart] & Warn.SENSOR)
 
 
-def test_silent_second_encoder_is_a_warning_and_no_contradiction():
+def test_silent_second_encoder_causes_a_warning_and_does_not_count_as_contradiction():
     of = found(bench(), kinds.SensorLost(sensor="length_5", at_s=0.6, mode="TRACKING"))
     assert (of.faults, of.which) == (Fault.NONE, NOTHING)
     assert np.isinf(of.rows["sensor_share"][:, SENSORS.index("length_5")]).any()
@@ -185,13 +185,13 @@ def test_noise_and_single_outliers_of_second_encoders_are_no_contradiction(noise
 
 
 @pytest.mark.parametrize("noise", [NOISY, STRAY])
-def test_noise_and_single_outliers_of_a_second_encoder_excuse_no_drift_of_the_drives(noise):
+def test_drift_of_a_drive_encoder_is_detected_despite_noise_and_outliers_of_the_second_encoder(noise):
     drift = kinds.EncoderDrift(leg=0, at_s=0.6, mode="TRACKING", by_m_s=5e-3)
     of = found(noisy(noise, reference=REST), drift)
     assert (of.which, of.leg) == (EITHER, 0)
 
 
-def test_second_encoder_that_agrees_again_counts_again():
+def test_second_encoder_that_agrees_again_after_a_fault_is_used_again_to_detect_drift():
     rest = {"type": "hold", "duration_s": 6.0}
     once = kinds.SensorOffset(sensor="length_0", at_s=0.2, for_s=0.5, mode="TRACKING", by=4e-3)
     drift = kinds.EncoderDrift(leg=0, at_s=3.0, mode="TRACKING", by_m_s=5e-3)
@@ -200,7 +200,7 @@ def test_second_encoder_that_agrees_again_counts_again():
 
 
 @pytest.mark.parametrize("fault", ["jump", "freeze"])
-def test_fused_pose_goes_on_without_a_drive_encoder_that_its_second_one_contradicts(fault):
+def test_pose_fusion_excludes_a_drive_encoder_that_the_second_encoder_contradicts(fault):
     fused = {"pose": "fused", "fusion": {"may_lose_legs": [2]}}
     of = found(bench(tracker=True, estimation=fused), drives(2, 0.6)[fault])
     assert of.which == NOTHING

@@ -54,7 +54,7 @@ def share(rows: Rows, sensor: str) -> Any:
     return rows["sensor_share"][:, SENSORS.index(sensor)]
 
 
-def test_good_sensors_stay_within_a_share_of_their_limits_in_motion():
+def test_good_sensors_differ_from_the_legs_by_a_fraction_of_the_alarm_limits_in_motion():
     rows, mode = ticks(bench())
     assert mode is Mode.PARKED
     moving = rows[rows["mode"] == Mode.TRACKING]
@@ -78,7 +78,7 @@ def test_good_sensors_stay_within_a_share_of_their_limits_in_motion():
         ("inclination", kinds.SensorLost(sensor="inclination", **AT), 0.1),
     ],
 )
-def test_sensor_that_differs_from_the_legs_or_is_silent_raises_the_warning(sensor, fault, within_s):
+def test_sensor_that_contradicts_the_leg_lengths_or_is_silent_causes_a_warning(sensor, fault, within_s):
     rows, mode = ticks(bench(), fault)
     assert mode is Mode.PARKED, "a warning does not end the run"
     first = warned(rows)[0]

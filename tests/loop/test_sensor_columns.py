@@ -24,7 +24,7 @@ def rows():
     return track(changed(changed("virtual", **SOON), **SENSORS)).rows
 
 
-def test_tracker_that_is_not_fused_is_decoded_with_its_age(rows):
+def test_tracker_that_is_not_used_for_pose_fusion_is_logged_with_its_age(rows):
     age_s = rows["tracker_age"]
     assert age_s.min() > 4.5e-3
     assert age_s.max() < 11.1e-3
@@ -37,7 +37,7 @@ def test_tracker_that_is_not_fused_is_decoded_with_its_age(rows):
     assert np.abs(rows["tracker_pose"][:, 3:] - turned).max() < 0.02
 
 
-def test_imu_and_wrench_sensor_have_an_age_of_at_most_their_period(rows):
+def test_logged_age_of_imu_and_wrench_sensor_is_at_most_their_sample_period(rows):
     assert np.abs(rows["imu"][:, 5] - 9.81).max() < 6.0
     assert rows["imu"][:, 3:].std() > 0.01
     for name in ("imu_age", "wrench_sensor_age"):

@@ -48,7 +48,7 @@ def on_a_bus_of_their_own(family: str) -> Configuration:
 
 
 @pytest.mark.parametrize("family", ["mit, damiao DM4310", "moteus", "odrive", "cia402, difference"])
-def test_second_encoders_load_cells_and_tracker_work_next_to_any_drives(family, tmp_path):
+def test_second_encoders_load_cells_and_tracker_work_with_every_drive_family(family, tmp_path):
     c = on_a_bus_of_their_own(family)
     summary = simulate(c, duration_s=1.0, log=tmp_path / "run.mcap")
     assert summary["success"], summary["trouble"]
@@ -69,7 +69,7 @@ def test_second_encoders_load_cells_and_tracker_work_next_to_any_drives(family, 
     assert rows["rejected"].sum() == 0
 
 
-def test_age_of_a_free_running_encoder_is_right_to_the_waiting_time_on_the_bus():
+def test_age_of_a_free_running_encoder_is_right_within_its_waiting_time_on_the_bus():
     encoders = merged(ENCODERS, {"rate_Hz": 500, "device": {"trigger": "cyclic", "latency_ms": 2.1}})
     changes = {
         "sensors": {"lengths": encoders},
@@ -119,7 +119,7 @@ def test_replay_reads_the_dbc_of_a_sensor_from_the_log_alone(tmp_path):
         ({"bus": {"channels": OWN_BUS["channels"]}}, ("bus.channels[1]", "legs or a sensor")),
     ],
 )  # fmt: skip
-def test_sensors_that_do_not_fit_are_refused_with_what_would(changes, words):
+def test_unsuitable_sensor_settings_are_refused_with_the_allowed_ones(changes, words):
     with pytest.raises(ConfigurationError) as raised:
         changed("desktop", **merged(FAMILIES["cia402, difference"], changes))
     assert all(word in str(raised.value) for word in words), str(raised.value)

@@ -32,7 +32,7 @@ def run(tmp_path_factory):
     return summary, Log.open(folder / "a.mcap")
 
 
-def test_the_platform_reaches_its_set_points_and_parks(run):
+def test_platform_reaches_its_live_set_points_and_parks(run):
     summary, log = run
     assert summary["success"], summary
     assert summary["faults"] == []
@@ -47,7 +47,7 @@ def test_the_platform_reaches_its_set_points_and_parks(run):
     assert summary["tracking"]["peak_leg_error_mm"] < 0.5
 
 
-def test_the_reference_stays_within_its_limits_at_every_change(run):
+def test_live_reference_stays_within_rate_and_acceleration_limits_at_every_new_set_point(run):
     _, log = run
     rows = log.rows()
     moving = rows[(rows["mode"] == Mode.TRACKING) | (rows["mode"] == Mode.STOPPING)]
@@ -57,7 +57,7 @@ def test_the_reference_stays_within_its_limits_at_every_change(run):
     assert np.abs(np.diff(a[:, :3], axis=0)).max() <= 10 * 1e-3 * (1 + 1e-9)
 
 
-def test_a_set_point_out_of_reach_is_refused_counted_and_reported(run):
+def test_live_set_point_out_of_reach_is_refused_counted_and_reported(run):
     summary, log = run
     assert summary["setpoints"] == {
         "taken": 3,
@@ -71,7 +71,7 @@ def test_a_set_point_out_of_reach_is_refused_counted_and_reported(run):
     assert rows["reference_time_s"][tick] == pytest.approx(0.5, abs=2e-3)
 
 
-def test_the_log_contains_the_set_points_and_replays_to_the_bit(run):
+def test_log_contains_the_live_set_points_and_replays_to_the_bit(run):
     _, log = run
     given = [setpoint for tick in log.ticks() for setpoint in tick.setpoints]
     assert [s.z for s in given] == [1.05, 1.0, 3.0, 0.95]
@@ -92,7 +92,7 @@ class Changed:
 
 @pytest.mark.long
 @pytest.mark.parametrize("word", [5, 1])
-def test_a_replay_detects_a_set_point_changed_by_a_nanometre(run, word):
+def test_replay_detects_a_set_point_changed_by_a_nanometre(run, word):
     _, log = run
     first: list[int] = []
 
@@ -109,7 +109,7 @@ def test_a_replay_detects_a_set_point_changed_by_a_nanometre(run, word):
     assert first[0] <= verdict.first[0].tick <= first[0] + 1000
 
 
-def test_a_stop_in_motion_ends_at_rest_within_the_limits(tmp_path):
+def test_stop_command_between_live_set_points_ends_at_rest_within_the_limits(tmp_path):
     (tmp_path / "poses.csv").write_text(POSES.splitlines()[0] + "\n0,0.3,0,1.1,0,0,8\n9,0,0,1,0,0,0\n")
     summary = simulate(
         LIVE, log=tmp_path / "a.mcap", duration_s=2.0, setpoints=tmp_path / "poses.csv", check_replay=False
@@ -117,7 +117,7 @@ def test_a_stop_in_motion_ends_at_rest_within_the_limits(tmp_path):
     assert summary["success"], summary
     rows = Log.open(tmp_path / "a.mcap").rows()
     tracking, stopping = (rows[rows["mode"] == m] for m in (Mode.TRACKING, Mode.STOPPING))
-    assert np.abs(tracking["twist_d"][-1]).max() > 0.1, "it was under way"
+    assert np.abs(tracking["twist_d"][-1]).max() > 0.1, "the platform was moving at the stop"
     assert 0.01 < tracking["p"][-1, 0] < 0.29
     assert np.abs(stopping["dtwist_d"][:, :3]).max() <= 1 + 1e-9
     assert not stopping["twist_d"][-1].any()
@@ -126,7 +126,7 @@ def test_a_stop_in_motion_ends_at_rest_within_the_limits(tmp_path):
     assert stopping["p_d"][-1, 0] < 0.3
 
 
-def test_live_reference_stops_on_its_way_to_an_admitted_pose_before_the_force_limit(tmp_path):
+def test_live_reference_stops_on_the_way_to_an_accepted_pose_before_the_force_limit(tmp_path):
     u, v = "-0.28,-0.1,0.86,-2.9,-5.2,-4.0", "-0.23,0,0.78,-25.8,38.4,-17.2"
     (tmp_path / "poses.csv").write_text(f"{POSES.splitlines()[0]}\n0,{u}\n3,{v}\n")
     summary = simulate(LIVE, log=tmp_path / "a.mcap", duration_s=7.0, setpoints=tmp_path / "poses.csv")
@@ -140,7 +140,7 @@ def test_live_reference_stops_on_its_way_to_an_admitted_pose_before_the_force_li
     assert summary["replay"]["exact"]
 
 
-def test_set_points_that_cannot_be_followed_are_refused(tmp_path):
+def test_unsuitable_file_or_use_of_live_set_points_is_refused(tmp_path):
     (tmp_path / "poses.csv").write_text(POSES)
     with pytest.raises(ConfigurationError, match="--duration"):
         simulate(LIVE, log=tmp_path / "a.mcap")

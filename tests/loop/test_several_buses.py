@@ -53,7 +53,7 @@ def two(*changes: Changes, which: int = 1, **bus: Any) -> Configuration:
 # -- budget ----------------------------------------------------------------------------------------------------
 
 
-def test_2_kHz_load_each_of_two_buses_by_68_percent():
+def test_loop_at_2_kHz_loads_each_of_two_buses_by_68_percent():
     c = load("two_buses")
     found = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     # SYNC 75 bit; 16 bytes 34 bit at 1 Mbit/s and 193 at 5; 12 bytes 34 and 153, three times
@@ -68,7 +68,7 @@ def test_2_kHz_load_each_of_two_buses_by_68_percent():
 # -- runs ------------------------------------------------------------------------------------------------------
 
 
-def test_two_buses_run_at_2_kHz_and_every_frame_has_its_bus(tmp_path):
+def test_run_at_2_kHz_on_two_buses_logs_every_frame_with_its_bus(tmp_path):
     c = two(SHORT)
     found = simulate(c, log=tmp_path / "run.mcap", duration_s=0.1)
     log = Log.open(tmp_path / "run.mcap")
@@ -106,7 +106,7 @@ def test_every_drive_family_runs_on_several_buses(family, legs):
 # -- skew ------------------------------------------------------------------------------------------------------
 
 
-def test_the_skew_is_the_time_between_the_ends_of_the_syncs():
+def test_skew_between_buses_is_the_time_between_the_ends_of_their_sync_frames():
     with bench(two(SLOWLY, bitrate_bit_s=500000)) as lockstep:
         lockstep.step()
         inp, _, out = lockstep.step()
@@ -117,7 +117,7 @@ def test_the_skew_is_the_time_between_the_ends_of_the_syncs():
 
 
 @pytest.mark.parametrize(("limit_us", "late"), [(74.9, True), (75.0, False)])
-def test_a_skew_above_the_limit_makes_a_late_tick(limit_us, late):
+def test_skew_between_buses_above_the_limit_makes_the_period_late(limit_us, late):
     with bench(two(SLOWLY, {"limits": {"sync_skew_us": limit_us}}, bitrate_bit_s=500000)) as lockstep:
         row = lockstep.step()[2].row
     assert bool(row["warnings"] & Warn.LATE) == late
@@ -128,7 +128,7 @@ def test_a_skew_above_the_limit_makes_a_late_tick(limit_us, late):
 # -- faults ----------------------------------------------------------------------------------------------------
 
 
-def test_a_cut_bus_silences_its_own_legs_and_is_reported():
+def test_failure_of_one_bus_silences_only_the_legs_on_that_bus_and_is_reported():
     c = changed(
         "two_buses", plant={"faults": [{"kind": "bus_off", "bus": 1, "mode": "LOADING", "at_s": 0.1}]}
     )
@@ -150,7 +150,7 @@ def test_a_cut_bus_silences_its_own_legs_and_is_reported():
     assert "bus two1 (legs 3, 4, 5) is off" in story.short
 
 
-def test_a_flood_on_one_bus_does_not_disturb_the_other():
+def test_flood_of_frames_on_one_bus_does_not_disturb_the_other_bus():
     with bench(load("two_buses"), BusFlood(bus=1, rate_Hz=20000, at_s=0.05)) as lockstep:
         rows = [lockstep.step()[2].row.copy() for _ in range(130)]
     assert max(row["age"][:3].max() for row in rows[5:]) == 0
@@ -160,7 +160,7 @@ def test_a_flood_on_one_bus_does_not_disturb_the_other():
 @pytest.mark.parametrize(
     ("name", "allowed"), [("two_buses", "0 to 1"), ("desktop", "0, as there is one bus")]
 )
-def test_a_fault_of_an_unknown_bus_is_refused(name, allowed):
+def test_injected_fault_on_an_unknown_bus_is_refused(name, allowed):
     with pytest.raises(
         ConfigurationError, match=rf"plant\.faults\[0\]\.bus: unknown bus, allowed: {allowed}"
     ):

@@ -27,7 +27,7 @@ def designed(folder, controller, name="virtual", **sections):
 
 
 @pytest.mark.parametrize("axes", broad(["pose", "joint"], quick=1))
-def test_a_log_replays_with_its_attached_controller_not_with_the_file(axes, tmp_path, monkeypatch):
+def test_state_space_law_is_replayed_from_the_log_and_not_from_its_file(axes, tmp_path, monkeypatch):
     c = designed(tmp_path, CONTROLLER.replace("axes: joint", f"axes: {axes}"))
     log = tmp_path / "run.mcap"
     summary = simulate(c, log=log, duration_s=1.6, check_replay=False)
@@ -50,7 +50,7 @@ def test_a_log_replays_with_its_attached_controller_not_with_the_file(axes, tmp_
     assert not replay_log(log)[0].exact, "what is attached is what runs"
 
 
-def test_the_law_takes_over_at_the_holding_force(tmp_path):
+def test_state_space_law_starts_at_the_holding_force(tmp_path):
     """Before, the ramp lacks 10 / 300^3 of the force; after, encoder steps of 1 um add to it."""
     rows = run(designed(tmp_path, CONTROLLER), stop_s=1.3).rows
     begins = int(np.argmax(rows["mode"] == Mode.RELEASING))
@@ -64,7 +64,7 @@ BELOW_M, FORCE_N = 0.03, 4300.0
 """Start of the platform below the reference, and the force limit of a leg; 3618.6 N hold the platform."""
 
 
-def test_without_anti_windup_the_overshoot_is_several_times_larger(tmp_path):
+def test_state_space_law_overshoots_several_times_more_without_anti_windup(tmp_path):
     found = []
     for anti_windup in ("[0, 0.2]", "[0, 0]"):
         text = CONTROLLER.replace("[0, 0.2]", anti_windup).replace("[2, 0]", "[4, 0]")

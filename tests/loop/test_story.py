@@ -49,7 +49,7 @@ def told(*faults: PlantFault, **sections: Any) -> tuple[Ran, Story]:
     return ran, story_of(ran)
 
 
-def test_swapped_wires_are_reported_with_leg_and_tracking_error():
+def test_swapped_motor_wires_are_reported_with_leg_and_tracking_error():
     ran, story = told(SWAPPED)
     finding, cause = story.findings
     assert (cause.fault, cause.leg) == ("DRIVE", 3)
@@ -66,7 +66,7 @@ def test_swapped_wires_are_reported_with_leg_and_tracking_error():
 
 
 @pytest.mark.parametrize("leg", broad((4, 1, 0, 2, 3, 5), quick=1))
-def test_a_silent_drive_is_reported_with_the_ticks_since_its_last_frame(leg):
+def test_silent_drive_is_reported_with_the_periods_since_its_last_frame(leg):
     ran, story = told(DriveSilence(leg=leg, at_s=1.4))
     (finding,) = story.findings
     assert (finding.fault, finding.value, finding.limit, finding.leg, finding.tick) == (
@@ -83,7 +83,7 @@ def test_a_silent_drive_is_reported_with_the_ticks_since_its_last_frame(leg):
     ("fault", "leg", "unconfirmed"),
     [(EncoderLost(leg=1, at_s=1.4), 1, False), (FramesLoss(at_s=1.4), None, True)],
 )
-def test_a_lost_encoder_is_distinguished_from_lost_frames(fault, leg, unconfirmed):
+def test_report_of_a_lost_encoder_differs_from_that_of_lost_frames(fault, leg, unconfirmed):
     _, story = told(fault)
     (finding,) = story.findings
     assert (finding.fault, finding.leg) == ("STALE", leg)
@@ -91,7 +91,7 @@ def test_a_lost_encoder_is_distinguished_from_lost_frames(fault, leg, unconfirme
     assert "all six" not in story.done_text or not unconfirmed
 
 
-def test_drives_switched_off_by_a_forged_command_are_reported():
+def test_drives_switched_off_by_a_command_the_controller_did_not_send_are_reported():
     """Behind a gateway the controller does not receive the forged command."""
     c = load("virtual")
     nodes, plant = build_nodes(c)
@@ -113,7 +113,7 @@ def test_drives_switched_off_by_a_forged_command_are_reported():
 
 
 @pytest.mark.long
-def test_log_summary_and_replay_contain_the_same_story(tmp_path):
+def test_log_summary_and_replay_contain_the_same_explanation_of_a_fault(tmp_path):
     """With leg and value in machine-readable fields, in the tick of the fault and at the end."""
     path = tmp_path / "fault.mcap"
     summary = simulate(load("virtual"), log=path, faults=FaultPlan([SWAPPED]))
@@ -143,7 +143,7 @@ PLANT_FAILS = [
 
 @pytest.mark.parametrize("before", [False, True])
 @pytest.mark.parametrize(("fault", "words"), PLANT_FAILS)
-def test_a_plant_failure_ends_the_run_and_hides_no_earlier_fault(fault, words, before, tmp_path):
+def test_plant_failure_ends_the_run_and_an_earlier_fault_is_still_reported(fault, words, before, tmp_path):
     path = tmp_path / "plant.mcap"
     faults = [DriveSilence(leg=2, at_s=1.55), fault] if before else [fault]
     summary = simulate(load("virtual"), log=path, faults=FaultPlan(faults))
@@ -228,7 +228,7 @@ REAL = {
 
 
 @pytest.mark.parametrize("real", broad(map(pytest.param, REAL.values()), quick=5), ids=REAL)
-def test_a_motion_fault_is_reported_with_logged_values_and_limits(real):
+def test_fault_in_motion_is_reported_with_the_logged_value_and_its_limit(real):
     ran = run(changed(real.name, **real.sections), stop_s=real.duration_s)
     found = [each for each in story_of(ran).findings if each.fault == real.fault.name]
     row, before = (ran.rows[found[0].tick - n] for n in (0, 1))
@@ -250,7 +250,9 @@ def test_a_motion_fault_is_reported_with_logged_values_and_limits(real):
     ("begins", "speed", "raises"),
     [(0, -1.0, True), (1400, -1.0, True), (1400, 0.1, True), (1400, -1.0, False)],
 )
-def test_a_defective_law_is_a_latched_fault_with_its_place(monkeypatch, begins, speed, raises):
+def test_exception_or_nan_of_a_law_is_a_fault_reported_with_its_source_line(
+    monkeypatch, begins, speed, raises
+):
     """From the start, from a tick on, and only in motion: not when the law is evaluated for the holding
     force.
     """
@@ -269,7 +271,7 @@ def test_a_defective_law_is_a_latched_fault_with_its_place(monkeypatch, begins, 
     struck = ~np.isfinite(ran.rows["tau_law"]).all(axis=1)
     assert finding.fault == "LAW"
     assert int(np.argmax(struck)) == finding.tick >= begins
-    assert np.isfinite(ran.rows["tau"]).all(), "no drive is ever sent it"
+    assert np.isfinite(ran.rows["tau"]).all(), "no drive gets the invalid force"
     assert not ran.ending.success
     if raises:
         assert "ZeroDivisionError: a {defect}" in finding.text

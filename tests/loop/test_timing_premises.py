@@ -118,7 +118,7 @@ COUNTED = [
 @pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("name", "observes"), CASES)
-def test_no_timing_within_the_premises_exceeds_the_printed_bound(name, observes, seed):
+def test_error_stays_within_the_printed_bound_for_all_timing_within_its_limits(name, observes, seed):
     """As many disturbances as timings of the commands, one after the other."""
     draw = np.random.default_rng(seed)
     pushes = list(disturbances(draw, COUNT))
@@ -136,7 +136,7 @@ def test_no_timing_within_the_premises_exceeds_the_printed_bound(name, observes,
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("name", "observes"), COUNTED)
 @pytest.mark.parametrize("lost", [False, True])
-def test_old_feedback_of_the_stated_age_stays_within_its_bound(name, observes, lost, seed):
+def test_error_with_feedback_one_period_old_stays_within_its_bound(name, observes, lost, seed):
     """With limits.stale_warn_ticks 2 the feedback of each leg may be one tick old."""
     draw = np.random.default_rng(seed)
     c = configured(LAWS[name], observes=observes, warn=2, lasts_s=BEGINS_s + 0.25 * COUNT + 0.5)
@@ -179,7 +179,7 @@ def untimely_feedback(draw: np.random.Generator, count: int) -> Iterator[Fault]:
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("name", "observes"), broad(CASES, 1))
-def test_late_feedback_warns_before_the_error_exceeds_the_bound(name, observes, seed):
+def test_late_feedback_causes_a_warning_before_the_tracking_error_exceeds_the_bound(name, observes, seed):
     c = configured(LAWS[name], observes=observes, lasts_s=BEGINS_s + APART_s * COUNT)
     bound = bound_of(judge(c))
     ran = run(c, *untimely_feedback(np.random.default_rng(seed), COUNT))

@@ -23,7 +23,7 @@ BUDGETS = {
     "hil/contracts": (1_720, 14_900),
     "tools": (2_706, 21_550),
     "configs": (210, 1_900),
-    "tests": (74_775, 666_225),
+    "tests": (74_810, 666_225),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 
@@ -44,7 +44,7 @@ def counted(folders: str) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("room", BUDGETS)
-def test_package_stays_within_its_budget_of_lines_and_nodes(room):
+def test_each_package_stays_within_its_budget_of_source_lines_and_syntax_nodes(room):
     lines, nodes = counted(room)
     most_lines, most_nodes = BUDGETS[room]
     assert lines <= most_lines, f"{room}: {lines} lines"

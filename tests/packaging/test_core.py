@@ -19,7 +19,7 @@ def hil(folder, *words):
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_check_sim_and_replay_run_without_the_extras(tmp_path):
+def test_hil_check_sim_and_replay_run_without_the_optional_extras(tmp_path):
     for words in (
         ["check", "virtual"],
         ["sim", "virtual", "--duration", "0.1", "--log", "a.mcap"],
@@ -30,7 +30,7 @@ def test_check_sim_and_replay_run_without_the_extras(tmp_path):
 
 
 @pytest.mark.parametrize("words", [["workspace", "virtual"], ["design", "hinf", "hinf"]])
-def test_command_that_needs_an_extra_names_it(tmp_path, words):
+def test_command_that_needs_a_missing_extra_fails_with_the_extra_to_install(tmp_path, words):
     done = hil(tmp_path, *words)
     assert done.returncode == 2
     assert "hexapod-hil[full]" in done.stderr

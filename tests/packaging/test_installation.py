@@ -41,11 +41,11 @@ def completed(shell, words, word):
         ("bash", "hil new x --base-r", "3", "plain,--base-radius"),
     ],
 )
-def test_each_shell_completes_commands_options_and_configurations(shell, words, word, said):
+def test_shell_completion_offers_commands_options_and_configurations_in_each_shell(shell, words, word, said):
     assert said in completed(shell, words, word)
 
 
-def test_stopping_the_service_is_a_controlled_stop_without_sigkill():
+def test_systemd_service_is_stopped_by_a_controlled_stop_without_sigkill():
     unit = configparser.ConfigParser(interpolation=None, strict=False)
     unit.optionxform = str  # type: ignore[assignment, method-assign]
     unit.read(UNIT)
@@ -57,7 +57,7 @@ def test_stopping_the_service_is_a_controlled_stop_without_sigkill():
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd")
-def test_systemd_accepts_the_unit(tmp_path):
+def test_systemd_accepts_the_shipped_service_unit(tmp_path):
     text = UNIT.read_text().replace("/opt/hil/bin/hil", sys.executable)
     (tmp_path / "hil@.service").write_text(text)
     shown = tmp_path / "hil@my.service"

@@ -26,7 +26,7 @@ def requirements(lock: str) -> list[str]:
 
 
 @pytest.mark.parametrize("lock", LOCKS)
-def test_every_locked_requirement_is_exact_and_has_hashes(lock):
+def test_every_requirement_in_a_lock_file_has_an_exact_version_and_hashes(lock):
     lines = requirements(lock)
     assert lines
     assert "://" not in "".join(lines)
@@ -51,14 +51,14 @@ def assert_locked(wanted: list[str], versions: dict[str, set[str]]) -> None:
         assert all(requirement.specifier.contains(version) for version in there), text
 
 
-def test_every_requirement_of_the_project_is_locked():
+def test_every_requirement_in_pyproject_is_in_the_lock_file():
     wanted = [*PROJECT["project"]["dependencies"], *PROJECT["build-system"]["requires"]]
     for group in PROJECT["dependency-groups"].values():
         wanted += group
     assert_locked(wanted, locked("requirements.lock"))
 
 
-def test_viewers_are_locked_at_the_versions_of_the_environment():
+def test_lock_file_of_the_viewers_has_the_versions_of_the_main_lock_file():
     viewers, installed = locked("requirements-viewers.lock"), locked("requirements.lock")
     assert_locked(PROJECT["project"]["optional-dependencies"]["viewers"], viewers)
     both = viewers.keys() & installed.keys()
@@ -66,13 +66,13 @@ def test_viewers_are_locked_at_the_versions_of_the_environment():
     assert {name: viewers[name] for name in both} == {name: installed[name] for name in both}
 
 
-def test_searched_python_versions_are_those_required():
+def test_python_versions_searched_by_find_python_are_those_of_requires_python():
     limits = dict(re.findall(r"(oldest|newest)=(\d+)", (ROOT / "tools/find-python").read_text()))
     required = f">=3.{limits['oldest']},<3.{int(limits['newest']) + 1}"
     assert PROJECT["project"]["requires-python"] == required
 
 
-def test_message_without_python_names_the_package_to_install(tmp_path):
+def test_setup_without_python_fails_with_the_package_to_install(tmp_path):
     shell = shutil.which("sh") or "/bin/sh"
     done = subprocess.run(
         [shell, ROOT / "tools/find-python"],
@@ -87,7 +87,7 @@ def test_message_without_python_names_the_package_to_install(tmp_path):
 
 
 @pytest.mark.long
-def test_failed_setup_leaves_no_partial_environment(tmp_path):
+def test_failed_setup_leaves_no_partial_virtual_environment(tmp_path):
     for name in ("pyproject.toml", *LOCKS):
         shutil.copy(ROOT / name, tmp_path)
     shutil.copytree(ROOT / "tools", tmp_path / "tools")

@@ -55,7 +55,7 @@ def outside(installed, tmp_path, *arguments):
     )
 
 
-def test_every_file_of_the_packages_is_in_the_wheel(wheel):
+def test_every_source_file_of_the_packages_is_in_the_wheel(wheel):
     with zipfile.ZipFile(wheel) as archive:
         inside = {name: archive.read(name) for name in archive.namelist()}
     kept = {
@@ -68,7 +68,7 @@ def test_every_file_of_the_packages_is_in_the_wheel(wheel):
     assert [name for name, content in kept.items() if inside[name] != content] == []
 
 
-def test_wheel_contains_data_but_no_tests_and_tools(wheel):
+def test_wheel_contains_data_files_but_no_tests_and_tools(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     for pattern in ("*/py.typed", "drivers/legs/legs.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"):
@@ -77,14 +77,14 @@ def test_wheel_contains_data_but_no_tests_and_tools(wheel):
     assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
 
 
-def test_packages_are_imported_from_the_wheel(installed, tmp_path):
+def test_packages_are_imported_from_the_installed_wheel(installed, tmp_path):
     script = f"import importlib, json; print(json.dumps([importlib.import_module(n).__file__ for n in {PACKAGES!r}]))"
     done = outside(installed, tmp_path, "-c", script)
     assert done.returncode == 0, done.stderr
     assert [Path(name).parent.parent for name in json.loads(done.stdout)] == [installed] * len(PACKAGES)
 
 
-def test_hil_sim_runs_from_the_wheel(installed, tmp_path):
+def test_hil_sim_runs_from_the_installed_wheel(installed, tmp_path):
     done = outside(
         installed, tmp_path, "-m", "hil.cli", "sim", "virtual", "--duration", "0.5", "--json", "sim.json"
     )

@@ -24,7 +24,7 @@ def sync(rig: Rig, tick: int) -> Frame:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_alternating_old_commands_do_not_keep_the_drives_in_run(layout):
+def test_alternating_old_command_frames_do_not_keep_the_drives_in_run(layout):
     rig = Rig(layout)
     rig.run()
     old = [commands(rig, rig.tick - 1, 3e3), commands(rig, rig.tick - 2, 4e3)]
@@ -41,7 +41,7 @@ def test_alternating_old_commands_do_not_keep_the_drives_in_run(layout):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("ahead", [-8, -1, 1, 2, 7])
-def test_a_command_that_belongs_to_another_sync_is_rejected(layout, ahead):
+def test_drives_reject_a_command_that_belongs_to_another_sync(layout, ahead):
     rig = Rig(layout)
     rig.run(100.0)
     before = rig.nodes.snapshot()
@@ -52,7 +52,7 @@ def test_a_command_that_belongs_to_another_sync_is_rejected(layout, ahead):
     assert after.rejected - before.rejected == (2 if layout == "classic" else 1)
 
 
-def test_the_second_command_after_one_sync_has_no_effect():
+def test_second_command_after_one_sync_has_no_effect_on_the_drives():
     rig = Rig()
     rig.run()
     rig.tick += 1
@@ -63,7 +63,7 @@ def test_the_second_command_after_one_sync_has_no_effect():
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_commands_without_a_sync_have_no_effect(layout):
+def test_commands_without_a_sync_have_no_effect_on_the_drives(layout):
     rig = Rig(layout)
     rig.configure()
     for tick in range(256):
@@ -72,7 +72,7 @@ def test_commands_without_a_sync_have_no_effect(layout):
     assert rig.nodes.snapshot().commands == 0
 
 
-def test_a_sync_with_any_flipped_bit_is_rejected():
+def test_drives_reject_a_sync_with_any_flipped_bit():
     rig = Rig()
     rig.run()
     good = sync(rig, rig.tick + 1)
@@ -101,7 +101,7 @@ def test_drives_answer_a_repeated_sync_only_once():
 
 @pytest.mark.parametrize("data", [b"", b"\xff", b"\x55" * 8])
 @pytest.mark.parametrize("state", [DriveState.BOOT, DriveState.OFF, DriveState.RUN])
-def test_an_emergency_stop_with_any_payload_acts_and_is_confirmed(data, state):
+def test_drives_obey_and_confirm_an_emergency_stop_frame_with_any_payload(data, state):
     rig = Rig()
     if state is DriveState.OFF:
         rig.configure()
@@ -114,7 +114,7 @@ def test_an_emergency_stop_with_any_payload_acts_and_is_confirmed(data, state):
     assert rig.states == [DriveState.FAULT] * 6
 
 
-def test_drives_confirm_every_set_up_at_once_with_their_settings():
+def test_drives_confirm_every_config_frame_at_once_with_their_new_settings():
     rig = Rig()
     rig.at(0)  # the first heartbeat
     ours = rig.at(1 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))

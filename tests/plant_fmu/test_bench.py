@@ -13,7 +13,7 @@ def bench(**values):
     return Bench(BenchPlant(type="bench", **values))
 
 
-def test_a_leg_with_a_linear_spring_alone_is_a_harmonic_oscillator():
+def test_spring_plant_leg_with_a_linear_spring_alone_moves_as_a_harmonic_oscillator():
     plant = bench(damping_N_s2_m2=0.0, stiffness_N_m3=0.0, mass_kg=200.0, stiffness_N_m=5000.0)
     f = np.array([100.0, -100.0, 50.0, 0.0, 10.0, 200.0])
     w = np.sqrt(5000.0 / 200.0)
@@ -22,7 +22,7 @@ def test_a_leg_with_a_linear_spring_alone_is_a_harmonic_oscillator():
     assert dq == pytest.approx(f / 5000.0 * w * np.sin(w * 0.7), abs=1e-12)
 
 
-def test_a_leg_comes_to_rest_where_its_springs_balance_the_force():
+def test_spring_plant_leg_comes_to_rest_where_its_springs_balance_the_force():
     plant = bench(damping_N_s2_m2=50_000.0)
     x = 0.2
     f = np.full(6, 5000.0 * x + 20_000.0 * x**3)
@@ -32,7 +32,7 @@ def test_a_leg_comes_to_rest_where_its_springs_balance_the_force():
     assert q - 1.6 == pytest.approx(np.full(6, x), abs=5e-3)
 
 
-def test_quadratic_damping_limits_the_speed_to_sqrt_of_f_over_b():
+def test_quadratic_damping_limits_the_leg_speed_to_sqrt_of_force_over_damping():
     # almost without damping: v = f t / m
     plant = bench(stiffness_N_m=0.0, stiffness_N_m3=0.0, mass_kg=100.0, damping_N_s2_m2=1e-9)
     _, dq = plant.step(np.full(6, 100.0), OPEN, CALM, 1.0)
@@ -56,7 +56,7 @@ def test_a_brake_stops_a_leg_with_its_largest_force_and_then_holds():
     assert (q3 > q2 + 1e-4).all()
 
 
-def test_the_opposite_force_gives_the_opposite_motion():
+def test_opposite_force_on_a_spring_plant_leg_gives_the_opposite_motion():
     """Damping and springs are odd functions: forced, springing back, and with brakes engaged."""
     force = np.array([500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16_000.0])
     ahead, back = bench(), bench()

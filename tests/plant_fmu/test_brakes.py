@@ -15,7 +15,7 @@ from tests.plant_fmu.rig import MASS, MS, REST, US, Rig, push, starve
 
 
 @pytest.mark.parametrize("last_us", [0, 3000, 4049, 7777])
-def test_the_watchdog_reacts_within_one_grid_step_of_its_timeout(last_us):
+def test_drive_watchdog_reacts_within_one_plant_step_of_its_timeout(last_us):
     rig = Rig()
     rig.run(100.0)
     if last_us:
@@ -32,7 +32,7 @@ def test_the_watchdog_reacts_within_one_grid_step_of_its_timeout(last_us):
     assert told[0] == (last_us * US + 10 * MS, bytes([DriveState.FAULT, DriveFault.WATCHDOG]))
 
 
-def test_each_drive_has_its_own_watchdog_and_reaction():
+def test_watchdog_time_and_reaction_may_differ_between_the_drives():
     rig = Rig()
     watchdog_ms = [30, 5, 10, 25, 15, 20]
     reactions = [Reaction(leg % 4) for leg in range(6)]
@@ -54,7 +54,7 @@ def test_each_drive_has_its_own_watchdog_and_reaction():
                 assert told[0x701 + leg] == bytes([DriveState.FAULT, DriveFault.WATCHDOG])
 
 
-def test_a_command_at_the_instant_of_the_timeout_is_in_time():
+def test_command_at_the_instant_of_the_watchdog_timeout_is_in_time():
     rig = Rig()
     rig.run()
     rig.command(10 * MS, DriveMode.RUN)
@@ -63,7 +63,7 @@ def test_a_command_at_the_instant_of_the_timeout_is_in_time():
     assert rig.states == [DriveState.FAULT] * 6
 
 
-def test_the_watchdog_runs_in_ready_but_not_in_off():
+def test_drive_watchdog_runs_in_ready_but_not_in_off():
     rig = Rig()
     rig.configure()
     rig.at(100 * MS)
@@ -77,7 +77,7 @@ def test_the_watchdog_runs_in_ready_but_not_in_off():
     assert rig.states == [DriveState.FAULT] * 6
 
 
-def test_corrupted_commands_do_not_feed_the_watchdog():
+def test_corrupted_commands_do_not_restart_the_drive_watchdog():
     rig = Rig(faults=[FramesCorrupt(identifier=0x110, at_s=0.5e-3)])
     rig.run()
     for k in range(1, 15):
@@ -86,7 +86,7 @@ def test_corrupted_commands_do_not_feed_the_watchdog():
     assert rig.nodes.snapshot().rejected == 14
 
 
-def test_loss_of_one_classic_command_frame_stops_its_three_legs():
+def test_watchdogs_stop_three_legs_if_their_classic_can_command_frame_is_lost():
     rig = Rig("classic", faults=[FramesLoss(identifier=0x101, at_s=0.5e-3)])
     rig.run()
     for k in range(1, 15):
@@ -94,7 +94,7 @@ def test_loss_of_one_classic_command_frame_stops_its_three_legs():
     assert rig.states == [DriveState.RUN] * 3 + [DriveState.FAULT] * 3
 
 
-def test_reaction_brake_stops_zero_coasts_and_damp_slows_exponentially():
+def test_watchdog_reaction_brake_stops_the_leg_zero_coasts_and_damp_slows_it_exponentially():
     stopped, travelled = starve(Reaction.BRAKE, seconds=0.1, load=-2000.0)
     coasting, _ = starve(Reaction.ZERO, seconds=3.0)
     damped, _ = starve(Reaction.DAMP, seconds=0.02)
@@ -110,7 +110,7 @@ def test_reaction_brake_stops_zero_coasts_and_damp_slows_exponentially():
     assert snapshot.brake.tolist() == [0.0] * 6
 
 
-def test_reaction_hold_returns_to_the_length_at_the_fault_minus_the_sag():
+def test_watchdog_reaction_hold_returns_to_the_length_at_the_fault_minus_the_sag_under_load():
     rig, travelled = starve(Reaction.HOLD, seconds=1.0, load=-2000.0)
     snapshot = rig.nodes.snapshot()
     sag = 2000.0 / 2e6
@@ -121,7 +121,7 @@ def test_reaction_hold_returns_to_the_length_at_the_fault_minus_the_sag():
 
 @pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.RUN])
 @pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
-def test_commands_other_than_off_and_reset_do_not_end_a_reaction(reaction, mode):
+def test_commands_other_than_off_and_reset_do_not_end_a_watchdog_reaction(reaction, mode):
     rig, _ = starve(reaction, seconds=0.005)
     other, _ = starve(reaction, seconds=0.005)
     for t_ms in (16, 17, 18):
@@ -136,7 +136,7 @@ def test_commands_other_than_off_and_reset_do_not_end_a_reaction(reaction, mode)
 
 
 @pytest.mark.parametrize("reaction", list(Reaction))
-def test_an_emergency_stop_brakes_in_every_state_with_any_reaction(reaction):
+def test_emergency_stop_closes_the_brake_in_every_drive_state_with_any_watchdog_reaction(reaction):
     for path in ([], [DriveMode.READY], [DriveMode.READY, DriveMode.RUN]):
         rig = Rig(reaction=reaction, faults=[push(-2000.0)])
         rig.configure()
@@ -154,7 +154,7 @@ def test_an_emergency_stop_brakes_in_every_state_with_any_reaction(reaction):
 
 
 @pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
-def test_emergency_stop_and_off_brake_a_drive_during_its_reaction(reaction):
+def test_emergency_stop_and_off_close_the_brake_of_a_drive_during_its_watchdog_reaction(reaction):
     for stop in ("estop", "off"):
         rig, _ = starve(reaction, seconds=0.01)
         assert rig.nodes.snapshot().brake.tolist() == [0.0] * 6
@@ -236,7 +236,7 @@ def test_a_drive_keeps_its_last_force_until_its_brake_has_closed(end):
     assert free_ms(a) == pytest.approx(begun - 100 + CLOSE_MS)
 
 
-def test_a_drive_drops_its_force_on_time_even_if_its_brake_stays_open():
+def test_drive_removes_its_force_after_the_closing_time_even_if_its_brake_stays_open():
     """The drive has no sensor for its brake, only a timer."""
     a = rig(BrakeStuckOpen(leg=2))
     running(a)
@@ -247,7 +247,7 @@ def test_a_drive_drops_its_force_on_time_even_if_its_brake_stays_open():
     np.testing.assert_allclose(a.nodes.snapshot().rate, expected, atol=1e-12)
 
 
-def test_a_brake_stays_open_if_it_is_commanded_open_before_it_has_closed():
+def test_brake_commanded_open_again_before_it_has_closed_stays_open():
     a = rig()
     running(a)
     a.plant.calls.clear()
@@ -260,7 +260,7 @@ def test_a_brake_stays_open_if_it_is_commanded_open_before_it_has_closed():
 
 
 @pytest.mark.parametrize("reaction", [Reaction.DAMP, Reaction.HOLD])
-def test_damp_and_hold_end_in_the_brake_after_brake_after_ms(reaction):
+def test_watchdog_reactions_damp_and_hold_close_the_brake_after_brake_after_ms(reaction):
     """brake_after_ms is 1 s: from the watchdog's fault at 110 ms to 1110 ms, plus the closing time."""
     a = rig(reaction=reaction)
     running(a)

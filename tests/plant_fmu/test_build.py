@@ -21,7 +21,7 @@ HEADERS = Path(fmpy.__file__).parent / "c-code"
 
 
 @pytest.mark.parametrize(("version", "header"), [("2.0", "fmi2Functions.h"), ("3.0", "fmi3Functions.h")])
-def test_the_library_exports_exactly_the_functions_of_the_standard(version, header, tmp_path):
+def test_fmu_binary_exports_exactly_the_functions_of_the_fmi_standard(version, header, tmp_path):
     text = (HEADERS / header).read_text()
     wanted = set(re.findall(r"#define (fmi[23]\w+)\s+fmi[23]FullName", text))
     assert len(wanted) > 30
@@ -34,7 +34,7 @@ def test_the_library_exports_exactly_the_functions_of_the_standard(version, head
 
 
 @pytest.mark.parametrize("version", broad(VERSIONS, quick=1))
-def test_the_same_sources_give_the_same_bytes(version, tmp_path, monkeypatch):
+def test_two_builds_of_the_fmu_from_the_same_sources_are_equal_in_every_byte(version, tmp_path, monkeypatch):
     first = build(version).read_bytes()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     again = build(version, tmp_path / "copy.fmu")
@@ -45,7 +45,7 @@ def test_the_same_sources_give_the_same_bytes(version, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_the_token_changes_with_each_source_and_the_description(monkeypatch, version):
+def test_fmu_instantiation_token_changes_with_each_source_and_the_description(monkeypatch, version):
     files = builder._source_files(version)
     assert {"model.c", "model.h", f"fmi{version[0]}.c"} < set(files)
     tokens = {builder.token("2.0"), builder.token("3.0"), builder.token(version)}
@@ -60,7 +60,7 @@ def test_the_token_changes_with_each_source_and_the_description(monkeypatch, ver
     assert len(tokens) == 3 + len(files)
 
 
-def test_a_binary_refuses_the_token_of_another_build(unpacked):
+def test_fmu_binary_refuses_the_instantiation_token_of_another_build(unpacked):
     folder, _ = unpacked
     fmu = FMU3Slave(guid="{other}", unzipDirectory=str(folder), modelIdentifier="stewart", instanceName="t")
     said = []
@@ -69,7 +69,7 @@ def test_a_binary_refuses_the_token_of_another_build(unpacked):
     assert b"different builds" in said[0]
 
 
-def test_the_sources_compile_without_a_warning(unpacked, tmp_path):
+def test_c_sources_of_the_fmu_compile_without_a_warning(unpacked, tmp_path):
     folder, _ = unpacked
     compiler = builder.find_compiler()
     sources = sorted(p.name for p in (folder / "sources").glob("*.c"))
@@ -84,7 +84,7 @@ def test_the_sources_compile_without_a_warning(unpacked, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_a_failed_compilation_reports_its_output_and_caches_nothing(monkeypatch, tmp_path):
+def test_failed_compilation_of_the_fmu_reports_the_compiler_output_and_caches_nothing(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     files = builder._source_files("3.0")
     monkeypatch.setattr(builder, "_source_files", lambda _: {**files, "plant.c": b"this is no C\n"})
@@ -94,7 +94,7 @@ def test_a_failed_compilation_reports_its_output_and_caches_nothing(monkeypatch,
 
 
 @pytest.mark.parametrize("wanted", ['"gcc', "no-such-compiler", " ", "sh -c 'echo version 9; exit 1'"])
-def test_a_compiler_in_cc_that_does_not_run_is_refused(monkeypatch, wanted):
+def test_compiler_in_environment_variable_cc_that_does_not_run_is_refused(monkeypatch, wanted):
     monkeypatch.setenv("CC", wanted)
     with pytest.raises(PlantError, match=r"CC=.*does not run"):
         builder.find_compiler()
@@ -113,7 +113,7 @@ OWN, CC, ZIG = ("tcc", "-m64"), ("/usr/bin/cc",), (sys.executable, "-m", "ziglan
         ("", set(), False, None),
     ],
 )
-def test_the_compiler_is_chosen_from_cc_then_the_system_then_zig(monkeypatch, wanted, works, zig, expected):
+def test_fmu_compiler_is_chosen_from_cc_then_the_system_then_zig(monkeypatch, wanted, works, zig, expected):
     monkeypatch.setenv("CC", wanted)
     monkeypatch.setattr(builder, "_identity", lambda command, _: "it" if command in works else None)
     monkeypatch.setattr("shutil.which", lambda _: CC[0])
@@ -136,7 +136,7 @@ MACHINES = {
 
 
 @pytest.mark.parametrize(("version", "at"), [("2.0", 0), ("3.0", 1)])
-def test_a_release_has_each_binary_in_the_folder_of_its_fmi_version(monkeypatch, tmp_path, version, at):
+def test_release_fmu_has_each_binary_in_the_folder_of_its_fmi_version(monkeypatch, tmp_path, version, at):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(builder, "find_compiler", lambda **_: Compiler(("zig",), zig=True, identity=""))
     monkeypatch.setattr(builder, "_compile", lambda _, key, *__: key.encode())
@@ -145,7 +145,7 @@ def test_a_release_has_each_binary_in_the_folder_of_its_fmi_version(monkeypatch,
     assert found == {f"binaries/{m[at]}/{m[2]}": key.encode() for key, m in MACHINES.items()}
 
 
-def test_compiler_flags_targets_and_version_are_part_of_the_cache_key(monkeypatch, tmp_path):
+def test_compiler_flags_targets_and_version_are_part_of_the_fmu_cache_key(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(builder, "_compile", lambda *_: b"binary")
     compiler = builder.find_compiler()

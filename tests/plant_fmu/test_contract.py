@@ -61,7 +61,7 @@ def run(plant, n=30, dt=1e-3):
     return [plant.step(FORCE, OPEN, CALM, dt) for _ in range(n)]
 
 
-def test_reset_returns_lengths_at_rest_that_later_steps_do_not_change(plant):
+def test_plant_reset_returns_lengths_at_rest_in_an_array_that_later_steps_do_not_change(plant):
     q, dq = plant.reset()
     kept = q.copy()
     assert q.shape == dq.shape == (6,)
@@ -71,7 +71,7 @@ def test_reset_returns_lengths_at_rest_that_later_steps_do_not_change(plant):
     assert (q == kept).all()
 
 
-def test_after_a_reset_the_motion_is_the_same_to_the_bit(plant):
+def test_plant_repeats_its_motion_to_the_bit_after_a_reset(plant):
     plant.reset()
     first = run(plant)
     plant.reset()
@@ -80,7 +80,7 @@ def test_after_a_reset_the_motion_is_the_same_to_the_bit(plant):
         assert (dq1 == dq2).all()
 
 
-def test_one_long_step_equals_many_short_steps(plant):
+def test_one_long_plant_step_equals_many_short_steps(plant):
     plant.reset()
     for _ in range(20):
         short = plant.step(FORCE, OPEN, CALM, 1e-3)
@@ -89,7 +89,7 @@ def test_one_long_step_equals_many_short_steps(plant):
     assert long[0] == pytest.approx(short[0], abs=1e-15)
 
 
-def test_a_larger_force_makes_a_leg_longer(plant):
+def test_larger_force_on_a_plant_leg_makes_the_leg_longer(plant):
     plant.reset()
     few = plant.step(FORCE, OPEN, CALM, 0.05)[0]
     plant.reset()
@@ -97,7 +97,7 @@ def test_a_larger_force_makes_a_leg_longer(plant):
     assert (more > few).all()
 
 
-def test_engaged_brakes_hold_the_legs(plant):
+def test_engaged_brakes_hold_the_legs_of_the_plant(plant):
     q0, _ = plant.reset()
     for _ in range(100):
         q, dq = plant.step(FORCE, SHUT, CALM, 1e-3)
@@ -105,7 +105,7 @@ def test_engaged_brakes_hold_the_legs(plant):
     assert np.abs(dq).max() < 1e-6
 
 
-def test_rates_are_the_derivatives_of_lengths(plant):
+def test_leg_rates_of_the_plant_are_the_derivatives_of_its_lengths(plant):
     plant.reset()
     plant.step(FORCE + 500.0, OPEN, CALM, 0.02)
     q1, _ = plant.step(FORCE + 500.0, OPEN, CALM, 1e-3)
@@ -115,7 +115,7 @@ def test_rates_are_the_derivatives_of_lengths(plant):
 
 
 @pytest.mark.parametrize("dt", [1.05e-4, 0.0, -1e-3, np.nan, np.inf])
-def test_a_step_that_is_no_multiple_of_the_internal_step_is_refused(plant, dt):
+def test_plant_step_that_is_not_a_multiple_of_the_internal_step_is_refused(plant, dt):
     plant.reset()
     with pytest.raises(PlantError, match="multiple"):
         plant.step(FORCE, OPEN, CALM, dt)
@@ -124,7 +124,7 @@ def test_a_step_that_is_no_multiple_of_the_internal_step_is_refused(plant, dt):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_an_input_that_is_not_finite_is_refused(plant, value, place):
+def test_plant_input_that_is_not_finite_is_refused(plant, value, place):
     plant.reset()
     inputs = [FORCE.copy(), OPEN.copy(), CALM.copy()]
     inputs[place][3] = value
@@ -133,7 +133,7 @@ def test_an_input_that_is_not_finite_is_refused(plant, value, place):
     plant.step(FORCE, OPEN, CALM, 1e-3)
 
 
-def test_pose_and_forces_of_the_truth_agree_with_lengths_and_inputs(plant):
+def test_true_pose_and_forces_of_the_plant_agree_with_its_lengths_and_inputs(plant):
     q, _ = plant.reset()
     q, _ = plant.step(FORCE, OPEN, CALM, 0.02)
     applied = plant.applied_force()  # before the truth was requested
@@ -148,7 +148,7 @@ def test_pose_and_forces_of_the_truth_agree_with_lengths_and_inputs(plant):
     assert applied.tobytes() == truth.applied_force.tobytes()
 
 
-def test_both_fmi_versions_and_isolations_of_our_fmu_give_the_same_bits():
+def test_own_fmu_gives_the_same_bits_in_fmi_2_and_3_and_in_process_or_in_a_child_process():
     ends = []
     for version in ("2.0", "3.0"):
         for isolation in ("in_process", "child_process"):
@@ -158,7 +158,7 @@ def test_both_fmi_versions_and_isolations_of_our_fmu_give_the_same_bits():
     assert len(set(ends)) == 1
 
 
-def test_an_upward_wrench_lifts_the_platform(plant):
+def test_upward_wrench_on_the_plant_lifts_the_platform(plant):
     if isinstance(plant, Bench):
         return
     plant.reset()
@@ -169,7 +169,7 @@ def test_an_upward_wrench_lifts_the_platform(plant):
 
 
 @pytest.mark.parametrize("step_s", [1.0, 0.5, 2.0**-13])
-def test_a_step_is_a_whole_number_of_internal_steps_within_1e_9(step_s):
+def test_plant_step_must_be_a_whole_number_of_internal_steps_within_1e_9(step_s):
     for n in (1, 2, 7, 1_000, 999_999_999):
         assert whole_steps(n * step_s, step_s) == n
     for n in (1, 7, 1_000):
@@ -183,7 +183,7 @@ def test_a_step_is_a_whole_number_of_internal_steps_within_1e_9(step_s):
             whole_steps(n * step_s, step_s)
 
 
-def test_the_true_twist_is_the_derivative_of_the_true_pose(plant):
+def test_true_twist_of_the_plant_is_the_derivative_of_its_true_pose(plant):
     """Over 0.2 ms about the middle: p' = v, R' R^T = [omega] in the base frame."""
     plant.reset()
     plant.step(FORCE + 500.0, OPEN, np.array([300.0, 0, 0, 100.0, 200.0, 300.0]), 0.02)

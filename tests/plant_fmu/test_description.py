@@ -55,11 +55,11 @@ def described(version: str) -> Any:
 
 
 @VERSIONS
-def test_fmpy_finds_no_problem_in_our_fmu(version):
+def test_fmpy_validates_the_own_fmu_without_a_problem(version):
     assert validate_fmu(str(build(version))) == []
 
 
-def test_the_build_description_follows_its_schema():
+def test_fmi_build_description_follows_its_schema():
     with zipfile.ZipFile(build("3.0")) as archive:
         root = etree.fromstring(archive.read("sources/buildDescription.xml"))
     etree.XMLSchema(file=str(SCHEMA / "fmi3" / "fmi3BuildDescription.xsd")).assertValid(root)
@@ -78,7 +78,7 @@ def elements(version: str) -> list[tuple[Any, ...]]:
     return found
 
 
-def test_both_descriptions_state_the_same_values_and_units():
+def test_fmi_2_and_fmi_3_descriptions_state_the_same_values_and_units():
     two, three = elements("2.0"), elements("3.0")
     # arrays of two units each, which FMI 3 cannot state
     mixed = {"initial_twist", "wrench", "twist", "acceleration"}
@@ -93,7 +93,7 @@ def test_both_descriptions_state_the_same_values_and_units():
         assert {u.variable.name.split("[")[0] for u in described(version).outputs} == outputs
 
 
-def test_the_binary_has_the_start_values_of_its_description(direct):
+def test_fmu_binary_has_the_start_values_of_its_model_description(direct):
     plant = direct()
     for v in described("3.0").modelVariables:
         if v.causality in {"parameter", "input"} and v.type == "Float64":
@@ -101,14 +101,14 @@ def test_the_binary_has_the_start_values_of_its_description(direct):
 
 
 @VERSIONS
-def test_units_have_the_exponents_of_their_names(version):
+def test_units_in_the_model_description_have_the_si_exponents_of_their_names(version):
     base = ("kg", "m", "s", "rad", "A", "K", "mol", "cd")
     found = {unit.name: unit.baseUnit for unit in described(version).unitDefinitions}
     assert {name: {k: n for k in base if (n := getattr(unit, k))} for name, unit in found.items()} == UNITS
     assert all((unit.factor, unit.offset) == (1.0, 0.0) for unit in found.values())
 
 
-def test_the_description_lists_the_direct_feedthrough_of_each_output():
+def test_model_description_lists_the_direct_feedthrough_of_each_output():
     depends = {u.variable.name: {d.name for d in u.dependencies} for u in described("3.0").outputs}
     assert depends["acceleration"] == {"force", "brake", "wrench"}
     assert depends["applied_force"] == {"force"}

@@ -26,7 +26,7 @@ DRIFTS = (EncoderDrift(leg=2, by_m_s=0.5), EncoderDrift(leg=2, by_m_s=0.25, at_s
 JUMP = EncoderJump(leg=2, by_m=3e-3)
 
 
-def test_an_encoder_drifts_at_the_given_rate_until_the_fault_ends():
+def test_encoder_drift_fault_shifts_the_reading_at_the_given_rate_until_the_fault_ends():
     rig = accelerating(EncoderDrift(leg=2, by_m_s=0.5, at_s=2e-3, for_s=4e-3))
     for t_ms, drifted, rate in ((1, 0, 0), (2, 0, 0.5), (4, 1e-3, 0.5), (5, 1.5e-3, 0.5), (7, 0, 0)):
         l, dl = motion(t_ms)
@@ -47,7 +47,7 @@ SCALE, SIGN = partial(EncoderScale, leg=2, factor=1.5), partial(EncoderSign, leg
         ((SIGN, SIGN), -1.0, -1.0),
     ],
 )
-def test_a_second_scale_error_continues_from_the_current_reading(kinds, first, second, swapped):
+def test_second_encoder_scale_or_sign_fault_continues_from_the_current_reading(kinds, first, second, swapped):
     faults = [kinds[0](at_s=2e-3), kinds[1](at_s=4e-3)]
     rig = accelerating(*(faults[::-1] if swapped else faults))
     begun, again = motion(2)[0], motion(4)[0]
@@ -73,13 +73,13 @@ def test_drifts_and_a_jump_of_one_encoder_add_up_in_any_order(faults):
 
 
 @pytest.mark.parametrize("lost_s", [2e-3, 3e-3])
-def test_an_encoder_frozen_while_lost_later_reads_its_length_of_then(lost_s):
+def test_encoder_that_freezes_while_lost_later_reads_its_length_at_the_freeze(lost_s):
     frozen, lost = EncoderFreeze(leg=3, at_s=3e-3), EncoderLost(leg=3, at_s=lost_s, for_s=5e-3 - lost_s)
     rig = accelerating(frozen, lost)
     assert read(rig, 6, leg=3) == pytest.approx((motion(3)[0], 0.0), abs=1e-9)
 
 
-def test_a_late_encoder_first_stands_still_and_then_is_delayed():
+def test_encoder_with_a_delay_fault_first_keeps_its_reading_and_then_follows_delayed():
     rig = accelerating(EncoderLate(leg=2, by_ms=3.0, at_s=2e-3))
     seen = [read(rig, t_ms) for t_ms in range(1, 9)]
     assert seen[0] == pytest.approx(motion(1))
@@ -89,7 +89,7 @@ def test_a_late_encoder_first_stands_still_and_then_is_delayed():
         assert seen[t_ms - 1] == pytest.approx(motion(t_ms - 3))
 
 
-def test_each_late_encoder_has_its_own_delay():
+def test_each_encoder_with_a_delay_fault_has_its_own_delay():
     rig = accelerating(EncoderLate(leg=2, by_ms=3.0), EncoderLate(leg=4, by_ms=1.0))
     for t_ms in range(7):
         found = rig.sync(t_ms * MS)
@@ -99,7 +99,7 @@ def test_each_late_encoder_has_its_own_delay():
         assert found["rate"][leg] == pytest.approx(dl)
 
 
-def test_noise_is_white_of_the_given_size_and_repeats_with_its_seed():
+def test_encoder_noise_fault_is_white_with_the_given_standard_deviation_and_repeats_with_its_seed():
     def lengths(seed: int) -> Any:
         rig = Rig("ideal", faults=[EncoderNoise(leg=2, sigma_m=1e-3, seed=seed)])
         rig.configure()
@@ -115,7 +115,7 @@ def test_noise_is_white_of_the_given_size_and_repeats_with_its_seed():
     assert (noise != lengths(2)).all()
 
 
-def test_a_drive_reports_its_lost_encoder_and_still_follows_commands():
+def test_drive_with_a_lost_encoder_reports_the_loss_and_still_follows_commands():
     rig = Rig("ideal", faults=[EncoderLost(leg=1, at_s=3e-3)])
     rig.run(10 * MASS)
     measurement = rig.sync(8 * MS)
@@ -129,7 +129,7 @@ def test_a_drive_reports_its_lost_encoder_and_still_follows_commands():
 
 
 @pytest.mark.parametrize("reaction", [Reaction.HOLD, Reaction.DAMP])
-def test_a_drive_with_a_lost_encoder_brakes_instead_of_damp_or_hold(reaction):
+def test_drive_with_a_lost_encoder_brakes_in_place_of_watchdog_reaction_damp_or_hold(reaction):
     rig = Rig("ideal", faults=[EncoderLost(leg=1, at_s=3e-3)], reaction=reaction)
     rig.run(10 * MASS)
     rig.at(50 * MS)
@@ -137,7 +137,7 @@ def test_a_drive_with_a_lost_encoder_brakes_instead_of_damp_or_hold(reaction):
     assert rig.nodes.snapshot().brake.tolist() == [0, 1, 0, 0, 0, 0]
 
 
-def test_a_drive_holds_its_present_length_despite_an_encoder_slip():
+def test_watchdog_reaction_hold_keeps_the_present_length_despite_an_earlier_encoder_slip():
     slips = [1e-3, -2e-3, 3e-3, -4e-3, 5e-3, -6e-3]
     rig = Rig(reaction=Reaction.HOLD, faults=[EncoderJump(leg=leg, by_m=by) for leg, by in enumerate(slips)])
     rig.run()

@@ -51,7 +51,7 @@ from tests.plant_fmu.test_sensor_nodes import Mover, rotation
         (DriveSaturation(leg=4, limit_N=11 * MASS), 1.0),
     ],
 )
-def test_faults_of_a_drives_force_change_the_motion_of_its_leg_alone(fault, share):
+def test_fault_of_the_force_of_a_drive_changes_the_motion_of_its_leg_alone(fault, share):
     rig = accelerating(fault)
     rig.at(5 * MS)
     rates = rig.nodes.snapshot().rate
@@ -59,13 +59,13 @@ def test_faults_of_a_drives_force_change_the_motion_of_its_leg_alone(fault, shar
     assert rates[3] == pytest.approx(10 * 5e-3)
 
 
-def test_a_restarted_drive_brakes_and_needs_a_new_set_up():
+def test_drive_restart_fault_closes_the_brake_and_requires_a_new_set_up():
     rig = accelerating(DriveReset(leg=4, at_s=3e-3))
     rig.at(3 * MS)
     assert rig.states == [DriveState.RUN] * 4 + [DriveState.BOOT, DriveState.RUN]
     assert rig.brakes == [0, 0, 0, 0, 1, 0]
     rig.command(4 * MS, DriveMode.READY)
-    assert rig.states[4] == DriveState.BOOT, "it does not obey"
+    assert rig.states[4] == DriveState.BOOT, "the restarted drive does not obey"
     rig.at(5 * MS, *rig.protocol.configure(0.01, rig.reaction))
     assert rig.states[4] == DriveState.OFF
     rig.command(6 * MS, DriveMode.READY)
@@ -75,7 +75,7 @@ def test_a_restarted_drive_brakes_and_needs_a_new_set_up():
 BRAKES = DriveEmulation(encoder_resolution_m=0.0, brake_open_ms=4.0, brake_close_ms=2.0)
 
 
-def test_a_slow_brake_opens_and_closes_later_by_the_given_time():
+def test_slow_brake_fault_delays_opening_and_closing_by_the_given_time():
     rig = Rig(emulation=BRAKES, faults=[BrakeSlow(leg=1, by_ms=3.0)])
     rig.run()
     seen = []
@@ -91,7 +91,7 @@ def test_a_slow_brake_opens_and_closes_later_by_the_given_time():
     assert closed == [12, 15]
 
 
-def test_a_slipping_brake_has_the_given_share_of_its_force():
+def test_slipping_brake_fault_leaves_the_given_fraction_of_the_brake_force():
     rig = Rig(faults=[BrakeSlipping(leg=1, share=0.3), BrakeStuckClosed(leg=2)])
     rig.at(0)
     assert rig.brakes == [1, 0.3, 1, 1, 1, 1]
@@ -99,7 +99,7 @@ def test_a_slipping_brake_has_the_given_share_of_its_force():
     assert rig.brakes == [0, 0, 1, 0, 0, 0]
 
 
-def test_stuck_brakes_ignore_the_drive():
+def test_brakes_stuck_open_or_closed_ignore_the_drive():
     rig = Rig(faults=[BrakeStuckClosed(leg=0), BrakeStuckOpen(leg=1), push(-200.0)])
     rig.at(1 * MS)
     assert rig.nodes.snapshot().rate.tolist() == pytest.approx([0, -1e-3, 0, 0, 0, 0])
@@ -113,7 +113,7 @@ def test_stuck_brakes_ignore_the_drive():
 # frames and buses
 
 
-def test_a_silent_drive_still_follows_commands():
+def test_drive_with_a_silence_fault_still_follows_commands():
     rig = Rig(faults=[DriveSilence(leg=3)])
     rig.run(200.0)
     sent = rig.at(5 * MS, *opening(rig.protocol, 0))
@@ -122,7 +122,7 @@ def test_a_silent_drive_still_follows_commands():
     assert rig.nodes.snapshot().rate[3] == pytest.approx(5e-3)
 
 
-def test_a_delayed_command_acts_later():
+def test_command_delay_fault_makes_the_command_act_later():
     rig = Rig("fd", faults=[FramesDelay(by_ms=2.0, identifier=0x110, at_s=0.5e-3)])
     rig.configure()
     rig.command(0, DriveMode.READY)
@@ -134,7 +134,7 @@ def test_a_delayed_command_acts_later():
     assert set(rig.states) == {DriveState.RUN}
 
 
-def test_a_forged_command_acts_and_the_controllers_is_a_repetition():
+def test_forged_command_acts_and_the_later_command_of_the_controller_is_rejected_as_repetition():
     rig = Rig("fd", faults=[FramesForgedCommand(force_N=300.0, at_s=2e-3)])
     rig.run(0.0)
     rig.tick += 1
@@ -150,7 +150,7 @@ def test_a_forged_command_acts_and_the_controllers_is_a_repetition():
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("by_m", [5e-3, -5e-3])
-def test_a_forged_answer_follows_the_true_one_with_another_length(leg, by_m):
+def test_forged_feedback_frame_follows_the_true_one_with_another_length(leg, by_m):
     rig = Rig("fd", faults=[FramesForgedFeedback(leg=leg, by_m=by_m)])
     rig.configure()
     rig.tick = 1
@@ -163,27 +163,27 @@ def test_a_forged_answer_follows_the_true_one_with_another_length(leg, by_m):
 # plant
 
 
-def test_a_wrench_acts_from_its_start_to_its_end():
+def test_injected_wrench_acts_on_the_platform_from_its_start_to_its_end():
     rig = Rig(faults=[push(200.0, at_s=2e-3, for_s=0.003)])
     rig.run()
     rig.at(9 * MS)
     assert rig.nodes.snapshot().rate.tolist() == pytest.approx([3e-3] * 6)
 
 
-def test_nan_lengths_of_the_plant_never_reach_the_bus():
+def test_nan_lengths_of_the_plant_cause_an_error_and_never_reach_the_bus():
     rig = accelerating(PlantNaN(at_s=2e-3), layout="fd")
     with pytest.raises(PlantError, match="no valid measurement"):
         rig.sync(4 * MS)
 
 
-def test_the_plant_crashes_at_the_given_instant():
+def test_plant_crash_fault_raises_an_error_at_the_given_instant():
     rig = accelerating(PlantCrash(at_s=2e-3))
     rig.at(1_900_000)
     with pytest.raises(PlantError, match="plant_crash"):
         rig.at(2 * MS)
 
 
-def test_a_hanging_plant_sends_no_answer_and_catches_up_afterwards():
+def test_plant_with_a_hang_fault_sends_no_answer_and_catches_up_afterwards():
     rig = accelerating(PlantHang(at_s=2e-3, for_s=3e-3))
     rig.at(2 * MS)
     assert rig.at(4 * MS, *opening(rig.protocol, 200)) == []
@@ -191,14 +191,14 @@ def test_a_hanging_plant_sends_no_answer_and_catches_up_afterwards():
     rig.at(4_900_000)
     np.testing.assert_array_equal(rig.nodes.snapshot().length, stood)
     late = rig.at(6 * MS)
-    assert len(late) >= 6, "the SYNC that it has missed"
+    assert len(late) >= 6, "answers to the SYNC that the plant has missed"
     assert rig.nodes.snapshot().length[0] - REST[0] == pytest.approx(motion(6)[0])
 
 
 @pytest.mark.parametrize("along", range(3))
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("arm", range(3))
-def test_a_load_has_a_moment_by_its_lever_arm(along, side, arm):
+def test_injected_load_has_a_moment_by_its_lever_arm(along, side, arm):
     gravity, position = np.zeros(3), np.zeros(3)
     gravity[along], position[arm] = 10.0 * side, 0.5
     turned = Rotation.from_euler("z", 90, degrees=True).as_matrix()  # x of the platform is y of the base
@@ -213,7 +213,7 @@ def test_a_load_has_a_moment_by_its_lever_arm(along, side, arm):
         np.testing.assert_allclose(wrench[3:], moment, rtol=0, atol=1e-14)
 
 
-def test_the_weight_of_a_payload_follows_the_moving_platform():
+def test_weight_of_an_injected_payload_acts_at_its_point_of_the_moving_platform():
     """100 kg, 0.5 m along the x axis of a platform that turns."""
     protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
     faults = FaultPlan([PayloadStep(mass_kg=100.0, position_m=(0.5, 0.0, 0.0))], gravity=(0.0, 0.0, -10.0))
@@ -229,7 +229,7 @@ def test_the_weight_of_a_payload_follows_the_moving_platform():
 # modes
 
 
-def test_a_fault_with_a_mode_begins_when_the_controller_reaches_it():
+def test_fault_tied_to_a_mode_begins_when_the_controller_reaches_that_mode():
     fault = EncoderFreeze(leg=2, mode="TRACKING", at_s=2e-3)
     rig = accelerating(fault)
     assert read(rig, 3) == pytest.approx(motion(3))

@@ -96,13 +96,13 @@ INVALID: dict[str, list[tuple[str, Any]]] = {
 @pytest.mark.parametrize(
     ("name", "key", "value"), [(name, *row) for name, rows in INVALID.items() for row in rows]
 )
-def test_invalid_faults_are_refused(name, key, value):
+def test_invalid_setting_of_each_kind_of_fault_is_refused_with_its_key(name, key, value):
     example(name)
     with pytest.raises(ValidationError, match=rf"(?m)^{key}"):
         example(name, **{key: value})
 
 
-def test_each_kind_of_fault_is_selected_by_its_name():
+def test_class_of_each_fault_is_selected_by_the_key_kind():
     read = TypeAdapter(AnyFault)
     for name, kind in FAULTS.items():
         assert get_args(kind.model_fields["kind"].annotation) == (name,)
@@ -110,7 +110,7 @@ def test_each_kind_of_fault_is_selected_by_its_name():
 
 
 @pytest.mark.parametrize("name", [name for name in FAULTS if not name.startswith("process")])
-def test_every_kind_of_fault_has_an_effect(name):
+def test_every_kind_of_injected_fault_has_an_effect(name):
     def outcome(*faults: Fault) -> str:
         plan = FaultPlan(faults)
         schedule = Schedule(plan, 0)
@@ -123,7 +123,7 @@ def test_every_kind_of_fault_has_an_effect(name):
     assert outcome(example(name)) != outcome()
 
 
-def test_a_fault_with_a_mode_counts_its_time_from_the_first_entry():
+def test_fault_tied_to_a_mode_counts_its_time_from_the_first_entry_into_that_mode():
     fault = EncoderFreeze(leg=0, mode="APPROACH", at_s=0.2, for_s=0.1)
     schedule = Schedule(FaultPlan([fault]), 0)
     assert schedule.starts_ns(fault) == NEVER_NS
@@ -157,7 +157,7 @@ TIMES = sorted(
 )
 
 
-def test_the_faults_at_an_instant_do_not_depend_on_earlier_queries():
+def test_active_faults_at_an_instant_do_not_depend_on_earlier_queries():
     schedule = Schedule(FaultPlan(SCHEDULED), T0)
     for t_ns in itertools.chain(*itertools.product(TIMES, TIMES)):
         present = [SCHEDULED.index(own.fault) for own in schedule.active(t_ns)]
@@ -169,7 +169,7 @@ def test_the_faults_at_an_instant_do_not_depend_on_earlier_queries():
     assert schedule.waiting == SCHEDULED[3:]
 
 
-def test_several_faults_of_one_leg_combine_by_the_rule_of_their_kind():
+def test_several_faults_of_one_kind_on_one_leg_add_up_multiply_or_take_the_worst_by_kind():
     faults = [
         *[WrenchStep(force_N=(1.0, 2.0, 3.0), moment_N_m=(4.0, 5.0, 6.0))] * 2,
         *[EncoderJump(leg=3, by_m=by_m) for by_m in (1e-3, 2e-3)],
@@ -199,7 +199,7 @@ def test_several_faults_of_one_leg_combine_by_the_rule_of_their_kind():
 
 
 @pytest.mark.parametrize("section", [DriveEmulation, partial(StewartPlant, type="stewart")])
-def test_a_force_bandwidth_is_0_or_at_least_0_1_hz(section):
+def test_force_bandwidth_of_a_drive_must_be_0_or_at_least_0_1_hz(section):
     for bandwidth_Hz in (0.0, 0.1, 1e6):
         section(force_bandwidth_Hz=bandwidth_Hz)
     for bandwidth_Hz in (0.0999, 1e-60, -1.0):

@@ -36,14 +36,14 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
-def test_a_damaged_archive_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_damaged_fmu_archive_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "bad.fmu"
     path.write_bytes(data)
     with pytest.raises(PlantError, match=r"bad\.fmu: not an FMU"):
         open_archive(path)
 
 
-def test_a_missing_file_or_a_folder_is_refused(tmp_path: Path) -> None:
+def test_fmu_path_that_is_missing_or_a_folder_is_refused(tmp_path: Path) -> None:
     for path, word in ((tmp_path / "none.fmu", "no such FMU"), (tmp_path, "not a file but a folder")):
         with pytest.raises(PlantError, match=word):
             open_archive(path)
@@ -76,7 +76,7 @@ BORDERS = {
 
 
 @pytest.mark.parametrize(("allowed", "refused", "word"), BORDERS.values(), ids=BORDERS)
-def test_number_sizes_and_ratios_of_members_have_limits(
+def test_fmu_archive_with_too_many_too_large_or_too_compressed_members_is_refused(
     allowed: list[zipfile.ZipInfo], refused: list[zipfile.ZipInfo], word: str
 ) -> None:
     check_members(allowed, FMU)
@@ -85,7 +85,7 @@ def test_number_sizes_and_ratios_of_members_have_limits(
 
 
 @pytest.mark.parametrize("second", ["resources/0", "resources/../0", "./Resources/0"])
-def test_a_repeated_member_is_refused_if_its_content_differs(second: str) -> None:
+def test_repeated_member_of_an_fmu_archive_is_refused_if_its_content_differs(second: str) -> None:
     both = [*members((4, 4)), *members((4, 4))]
     both[1].filename = second
     check_members(both, FMU)
@@ -94,7 +94,7 @@ def test_a_repeated_member_is_refused_if_its_content_differs(second: str) -> Non
         check_members(both, FMU)
 
 
-def test_extraction_stays_in_the_folder_and_links_become_text_files(tmp_path: Path) -> None:
+def test_fmu_archive_is_extracted_only_into_its_folder_and_links_become_text_files(tmp_path: Path) -> None:
     link = zipfile.ZipInfo("link")
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
     with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
@@ -111,7 +111,7 @@ def test_extraction_stays_in_the_folder_and_links_become_text_files(tmp_path: Pa
 
 
 @pytest.mark.parametrize("size", [1, MIB, 2_500_000])
-def test_a_member_never_unpacks_beyond_the_size_in_its_header(tmp_path: Path, size: int) -> None:
+def test_fmu_archive_member_never_unpacks_beyond_the_size_in_its_header(tmp_path: Path, size: int) -> None:
     data = bytes(range(251)) * (size // 251 + 1)
     with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
         archive.writestr("resources/a", data)

@@ -80,7 +80,7 @@ def altered(folder, code, line=STEP_LINE):
         ("for (;;) usleep(1000);", "did not step within 0.5 s"),
     ],
 )
-def test_crash_exit_or_hang_of_an_fmu_raises_a_lasting_plant_error(tmp_path, monkeypatch, code, word):
+def test_crash_exit_or_hang_of_an_fmu_raises_a_permanent_plant_error(tmp_path, monkeypatch, code, word):
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 0.5)
     path = altered(tmp_path, f"{code} const Status status = OK;")
     host = ChildHost(spec(path))
@@ -99,7 +99,7 @@ GREEDY = "for (int k = 0; k < 4096; k++) { char *p = malloc(1 << 20); if (!p) %s
 
 
 @pytest.mark.parametrize("then", broad(["abort()", "return ERROR"], quick=1))
-def test_an_fmu_cannot_allocate_more_than_its_memory_limit(tmp_path, monkeypatch, then):
+def test_fmu_in_a_child_process_cannot_allocate_more_than_its_memory_limit(tmp_path, monkeypatch, then):
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 60)
     path = altered(tmp_path, f"{GREEDY % then} {STEP_LINE}")
     limited = spec(path).model_copy(update={"memory_GB": 1.0})
@@ -133,7 +133,7 @@ API fmi3GetFloat64(void *c, const Ref vr[], size_t n, double values[], size_t n_
     ],
     ids=["NaN", "ends", "early", "refuses", "unknown status"],
 )
-def test_a_failed_step_is_reported_with_its_reason(tmp_path, kind, line, code, word):
+def test_failed_step_of_an_fmu_is_reported_with_its_reason(tmp_path, kind, line, code, word):
     with contextlib.closing(kind(spec(altered(tmp_path, code, line)))) as host:
         host.reset()
         with pytest.raises(PlantError, match=word):
@@ -141,13 +141,13 @@ def test_a_failed_step_is_reported_with_its_reason(tmp_path, kind, line, code, w
 
 
 @pytest.mark.parametrize("kind", [FmuHost, ChildHost])
-def test_the_error_names_a_missing_fmi_function(tmp_path, kind):
+def test_error_of_an_fmu_without_an_fmi_function_gives_the_function(tmp_path, kind):
     path = altered(tmp_path, "API FMI(fmi3DoStepX)(", "API FMI(fmi3DoStep)(")
     with pytest.raises(PlantError, match="fmi3DoStep"):
         kind(spec(path))
 
 
-def test_a_child_that_hangs_while_closing_is_killed(tmp_path, monkeypatch):
+def test_child_process_of_an_fmu_that_hangs_while_closing_is_killed(tmp_path, monkeypatch):
     line = "return instance_new(name, token"
     (tmp_path / "fmu").mkdir()
     path = altered(tmp_path / "fmu", f"atexit((void (*)(void))pause); {line}", line)
@@ -166,7 +166,7 @@ def test_an_fmu_that_exits_while_loading_is_reported(tmp_path):
         ChildHost(spec(path))
 
 
-def test_errors_in_the_child_process_reach_the_caller():
+def test_errors_in_the_child_process_of_an_fmu_reach_the_caller():
     with pytest.raises(PlantError, match="no such FMU file"):
         ChildHost(spec("/nowhere/x.fmu"))
     host = ChildHost(spec(build("3.0")))
@@ -181,7 +181,7 @@ def test_errors_in_the_child_process_reach_the_caller():
         host.step(FORCE, OPEN, OPEN, 1e-3)
 
 
-def test_a_killed_child_process_is_reported():
+def test_killed_child_process_of_an_fmu_is_reported():
     host = ChildHost(spec(build("3.0")))
     os.kill(host._process.pid, signal.SIGKILL)
     with pytest.raises(PlantError, match="died of SIGKILL"):
@@ -204,7 +204,9 @@ def on_one_processor():
     os.sched_setaffinity(0, before)
 
 
-def test_a_child_in_an_endless_loop_is_stopped_by_the_real_time_loop(tmp_path, monkeypatch, on_one_processor):
+def test_fmu_process_in_an_endless_loop_is_stopped_by_the_real_time_loop(
+    tmp_path, monkeypatch, on_one_processor
+):
     """The child runs one priority below the loop that waits for it."""
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 0.5)
     host = ChildHost(spec(altered(tmp_path, f"if (time > 0.0005) for (;;); {STEP_LINE}")))
@@ -230,7 +232,7 @@ def alive(pid):
 
 
 @pytest.mark.parametrize("code", broad(["for (;;) usleep(1000);", ""], quick=1))
-def test_the_child_ends_with_its_parent_and_leaves_no_files(tmp_path, code):
+def test_child_process_of_an_fmu_ends_with_its_parent_and_leaves_no_files(tmp_path, code):
     path = altered(tmp_path, f"{code} {STEP_LINE}")
     unpacked = tmp_path / "unpacked"
     unpacked.mkdir()
@@ -260,7 +262,7 @@ while True:
     assert list(unpacked.iterdir()) == []
 
 
-def test_the_child_has_a_session_of_its_own_without_ctrl_c():
+def test_child_process_of_an_fmu_has_its_own_session_and_gets_no_ctrl_c():
     with contextlib.closing(ChildHost(spec(build("3.0")))) as host:
         assert os.getsid(host._process.pid) == host._process.pid
         assert host.internal_step_s == 1e-3

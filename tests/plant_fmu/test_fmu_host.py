@@ -32,7 +32,7 @@ def temporary(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_fmpy_simulates_the_same_motion_within_1e_12(version):
+def test_fmpy_simulates_the_own_fmu_with_the_same_motion_within_1e_12(version):
     if version == "2.0":
         start = {f"force[{i + 1}]": FORCE[i] for i in range(6)} | {f"brake[{i + 1}]": 0.0 for i in range(6)}
         wanted = [f"length[{i}]" for i in range(1, 7)] + [f"rate[{i}]" for i in range(1, 7)]
@@ -54,7 +54,7 @@ def test_fmpy_simulates_the_same_motion_within_1e_12(version):
     assert np.abs(rows[-1] - rows[0]).max() > 1e-3
 
 
-def test_closing_removes_the_unpacked_files_and_can_be_repeated(tmp_path, temporary):
+def test_closing_an_fmu_removes_its_unpacked_files_and_may_be_repeated(tmp_path, temporary):
     """The files stay while the FMU may read them."""
     host = FmuHost(spec(rewritten(build("3.0"), tmp_path / "reads.fmu", extra=[("resources/a", b"x")])))
     (folder,) = temporary.iterdir()
@@ -67,7 +67,7 @@ def test_closing_removes_the_unpacked_files_and_can_be_repeated(tmp_path, tempor
         host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
 
 
-def test_our_fmu_has_no_unpacked_files_once_it_is_loaded(temporary):
+def test_own_fmu_has_no_unpacked_files_once_it_is_loaded(temporary):
     """A process that is killed leaves nothing behind."""
     host = FmuHost(spec(build("3.0"), truth=("position", "rotation", "twist", "applied_force")))
     assert list(temporary.iterdir()) == []
@@ -79,7 +79,7 @@ def test_our_fmu_has_no_unpacked_files_once_it_is_loaded(temporary):
     np.testing.assert_array_equal(again, moved[0])
 
 
-def test_parameters_can_be_arrays_numbers_and_names_of_items():
+def test_fmu_parameters_may_be_arrays_numbers_and_enumeration_items():
     free = FmuHost(spec(build("2.0"), parameters={"mass": 1150}))
     q = free.step(FORCE, np.zeros(6), np.zeros(6), 0.02)[0]
     free.close()
@@ -103,7 +103,7 @@ def test_parameters_can_be_arrays_numbers_and_names_of_items():
     ],
 )
 @pytest.mark.parametrize("version", VERSIONS)
-def test_an_invalid_parameter_is_refused(version, parameters, word):
+def test_invalid_fmu_parameter_is_refused(version, parameters, word):
     with pytest.raises(PlantError, match=word):
         FmuHost(spec(build(version), parameters=parameters))
 
@@ -120,7 +120,7 @@ def test_an_invalid_parameter_is_refused(version, parameters, word):
     ],
 )
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_map_to_unsuitable_variables_is_refused(version, changes, word):
+def test_mapping_of_a_plant_signal_to_an_unsuitable_fmu_variable_is_refused(version, changes, word):
     with pytest.raises(PlantError, match=word):
         FmuHost(spec(build(version), **changes))
 
@@ -160,20 +160,20 @@ def edit(old, new):
         (edit(b'instantiationToken="{', b'instantiationToken="{0'), "different builds"),
     ],
 )
-def test_an_fmu_with_an_invalid_change_is_refused(tmp_path, change, word):
+def test_fmu_with_an_invalid_description_or_binary_is_refused(tmp_path, change, word):
     bad = rewritten(build("3.0"), tmp_path / "bad.fmu", change)
     with pytest.raises(PlantError, match=f"(?s)bad.fmu.*{word}"):
         FmuHost(spec(bad))
 
 
-def test_a_zip_bomb_is_refused_and_writes_nothing(tmp_path, temporary):
+def test_fmu_with_a_zip_bomb_is_refused_and_nothing_is_unpacked(tmp_path, temporary):
     bad = rewritten(build("3.0"), tmp_path / "bad.fmu", extra=[("resources/bomb", b"\0" * 8_000_000)])
     with pytest.raises(PlantError, match="times its packed size"):
         FmuHost(spec(bad))
     assert list(temporary.iterdir()) == []
 
 
-def test_a_damaged_member_is_refused(tmp_path):
+def test_fmu_with_a_damaged_archive_member_is_refused(tmp_path):
     data = bytearray(build("3.0").read_bytes())
     with zipfile.ZipFile(build("3.0")) as archive:
         member = next(m for m in archive.infolist() if m.filename.startswith("binaries/"))

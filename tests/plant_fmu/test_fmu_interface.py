@@ -69,7 +69,7 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.parametrize("key", ["force", "length", "rate", "brake", "wrench"])
-def test_a_channel_has_six_different_reals_of_its_causality(read, key):
+def test_plant_signal_must_map_to_six_different_float64_variables_of_its_causality(read, key):
     other = "output" if key in INPUTS else "input"
     for change, word in (
         ({"causality": other}, f"causality {other}"),
@@ -88,7 +88,7 @@ def test_a_channel_has_six_different_reals_of_its_causality(read, key):
         read(variables(*legs), **{key: [*names[:5], names[0]]})
 
 
-def test_a_unit_assumed_for_a_name_overrides_that_of_its_key(read):
+def test_unit_assumed_for_a_variable_overrides_the_unit_assumed_for_its_signal(read):
     legs = [variable(f"f[{k}]", k, shape=(), causality="input", unit=None) for k in range(1, 7)]
     names = [leg.name for leg in legs]
     for assume in (
@@ -104,7 +104,7 @@ def test_a_unit_assumed_for_a_name_overrides_that_of_its_key(read):
 
 
 @pytest.mark.parametrize("key", UNITS)
-def test_force_length_and_rate_need_a_unit_but_a_wrench_does_not(read, key):
+def test_fmu_variables_of_force_length_and_rate_need_a_unit_but_wrench_variables_do_not(read, key):
     with pytest.raises(PlantError, match=rf"'{key}' declares no unit; .*{{{key}: {UNITS[key]}}}"):
         read(variables(**{key: {"unit": None}}))
     typed = {"unit": None, "declaredType": SimpleNamespace(unit=UNITS[key])}
@@ -115,7 +115,7 @@ def test_force_length_and_rate_need_a_unit_but_a_wrench_does_not(read, key):
 @pytest.mark.parametrize(
     ("key", "exponents"), [("force", (1, 1, -2)), ("length", (0, 1, 0)), ("rate", (0, 1, -1))]
 )
-def test_a_defined_unit_needs_the_right_exponents_and_no_factor(read, key, exponents):
+def test_unit_of_an_fmu_variable_must_have_the_right_si_exponents_and_no_factor(read, key, exponents):
     right = {**NOTHING, "factor": 1.0, "offset": 0.0, **dict(zip(("kg", "m", "s"), exponents, strict=True))}
 
     def stated(**change):
@@ -142,7 +142,7 @@ TYPES: list[tuple[str, Any, Any]] = [
 
 
 @pytest.mark.parametrize(("kind", "given", "value"), TYPES)
-def test_a_parameter_accepts_only_values_of_its_type(read, kind, given, value):
+def test_fmu_parameter_accepts_only_values_of_its_type(read, kind, given, value):
     one = variables(variable("k", 7, causality="parameter", type=kind, shape=()))
     if value is None:
         with pytest.raises(PlantError, match=f"type {kind}; .* is not a valid value"):
@@ -155,7 +155,7 @@ def test_a_parameter_accepts_only_values_of_its_type(read, kind, given, value):
 @pytest.mark.parametrize(
     ("version", "real", "setter"), [("2.0", "Real", "Integer"), ("3.0", "Float64", "Int64")]
 )
-def test_an_enumeration_accepts_the_name_or_number_of_an_item(read, version, real, setter):
+def test_fmu_enumeration_parameter_accepts_the_name_or_number_of_an_item(read, version, real, setter):
     """Items without a value count from 1."""
     for items, name, value in ((ITEMS, "off", 4), (ITEMS, "on", 9), (COUNTED, "on", 2), (ITEMS, 9, 9)):
         about = {"causality": "parameter", "type": "Enumeration", "shape": (), "declaredType": items}
@@ -166,7 +166,7 @@ def test_an_enumeration_accepts_the_name_or_number_of_an_item(read, version, rea
         assert (start.setter, start.values) == (setter, (value,))
 
 
-def test_an_array_name_selects_its_scalar_elements_only_in_fmi_2(read):
+def test_name_of_an_array_selects_scalar_fmu_variables_as_its_elements_only_in_fmi_2(read):
     elements = [variable(f"leg.f[{k}]", k, shape=(), causality="input", unit="N") for k in (4, 1, 6, 3, 2, 5)]
     others = [variable("leg.fs[1]", 8), variable("f[1]", 9)]
     given = variables(*elements, *others)
@@ -177,7 +177,7 @@ def test_an_array_name_selects_its_scalar_elements_only_in_fmi_2(read):
     assert read(whole, version="2.0", force=["leg.f"]).inputs["force"] == (70,)
 
 
-def test_fmi_2_prefers_the_binaries_folder_of_its_own_standard(read):
+def test_fmi_2_fmu_is_loaded_from_the_binaries_folder_of_the_fmi_2_standard_if_both_exist(read):
     old = f"binaries/{fmpy.platform}/model{fmpy.sharedLibraryExtension}"
     for members, library in (((LIBRARY, old), old), ((LIBRARY,), LIBRARY), ((old,), old)):
         assert read(members=members, version="2.0").library == library
@@ -185,7 +185,7 @@ def test_fmi_2_prefers_the_binaries_folder_of_its_own_standard(read):
         read(members=(old, "binaries/b/x.dll", "binaries/c", "resources/d/e"))
 
 
-def test_an_fmu_that_needs_a_tool_is_refused_unless_this_is_allowed(read):
+def test_fmu_that_needs_an_execution_tool_is_refused_unless_the_configuration_allows_it(read):
     read(needs_tool=True, allow_execution_tool=True)
     with pytest.raises(PlantError, match="needs maker at run time"):
         read(needs_tool=True)

@@ -47,7 +47,7 @@ def pushed(host: FmuHost | ChildHost, steps: int = 5) -> Array:
         pytest.param(ChildHost, ["CRASHING_RESET"], "SIGABRT", marks=pytest.mark.long),
     ],
 )
-def test_an_fmu_that_cannot_be_reset_starts_again_from_a_fresh_instance(tmp_path, kind, quirks, word):
+def test_fmu_that_cannot_be_reset_is_instantiated_again(tmp_path, kind, quirks, word):
     with contextlib.closing(kind(spec(legs_fmu(tmp_path / "a.fmu", *quirks)))) as host:
         host.reset()
         assert host.notes() == [], "nothing moved: no reset is needed"
@@ -60,7 +60,7 @@ def test_an_fmu_that_cannot_be_reset_starts_again_from_a_fresh_instance(tmp_path
         assert word in note
 
 
-def test_an_fmu_that_cannot_start_twice_does_no_step_after_a_reset(tmp_path):
+def test_failed_reset_of_an_fmu_that_cannot_be_loaded_again_prevents_further_steps(tmp_path):
     host = FmuHost(spec(legs_fmu(tmp_path / "a.fmu", "NO_RESET")))
     pushed(host)
     (tmp_path / "a.fmu").unlink()
@@ -74,7 +74,7 @@ def test_an_fmu_that_cannot_start_twice_does_no_step_after_a_reset(tmp_path):
 
 
 @pytest.mark.parametrize("brake", ["Real", "Boolean", "Integer"])
-def test_a_brake_of_any_type_holds_its_leg(tmp_path, brake):
+def test_fmu_brake_variables_of_type_real_boolean_or_integer_hold_their_legs(tmp_path, brake):
     path = legs_fmu(tmp_path / "a.fmu", brake=brake)
     assert propose(path).mapped["brake"] == tuple(f"brake[{k}]" for k in range(1, 7))
     engaged = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
@@ -85,7 +85,7 @@ def test_a_brake_of_any_type_holds_its_leg(tmp_path, brake):
         np.testing.assert_allclose(rate, (2.0 - engaged) * DT * FORCE / MASS_KG, rtol=1e-12)
 
 
-def test_brakes_of_several_types_are_refused(tmp_path):
+def test_fmu_brake_variables_of_several_types_are_refused(tmp_path):
     path = legs_fmu(tmp_path / "a.fmu", brake=["Boolean"] * 5 + ["Real"])
     with pytest.raises(PlantError, match=r"'brake\[6\]' is of type Real.*of one type"):
         FmuHost(spec(path))
@@ -94,7 +94,7 @@ def test_brakes_of_several_types_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "word"), [("./{}", ""), ("././{}", ""), ("\\", r"refused: .*unpack the FMU and pack it again")]
 )
-def test_names_that_begin_with_a_dot_are_read_and_backslashes_refused(tmp_path, name, word):
+def test_fmu_archive_names_that_begin_with_a_dot_are_read_and_backslashes_are_refused(tmp_path, name, word):
     path = legs_fmu(tmp_path / "a.fmu", name=name)
     if word:
         with pytest.raises(PlantError, match=word):
@@ -106,7 +106,7 @@ def test_names_that_begin_with_a_dot_are_read_and_backslashes_refused(tmp_path, 
 
 
 @pytest.mark.parametrize("kind", [FmuHost, ChildHost])
-def test_an_offset_is_added_to_the_lengths_of_an_fmu(tmp_path, kind):
+def test_configured_offset_is_added_to_the_leg_lengths_of_an_fmu(tmp_path, kind):
     path = legs_fmu(tmp_path / "a.fmu", "STROKE")
     for offset in (START_M, [START_M + 0.01 * leg for leg in range(6)]):
         with contextlib.closing(kind(spec(path, length_offset_m=offset))) as host:
@@ -135,14 +135,14 @@ STEPS = {
 
 
 @pytest.mark.parametrize(("experiment", "cs", "step_us", "word"), STEPS.values(), ids=STEPS)
-def test_steps_are_compared_with_the_step_that_the_fmu_states(tmp_path, experiment, cs, step_us, word):
+def test_step_that_differs_from_the_fixed_step_of_the_fmu_is_refused(tmp_path, experiment, cs, step_us, word):
     path = legs_fmu(tmp_path / "a.fmu", experiment=experiment, cs=cs)
     with open_archive(path) as archive:
         found = read_interface(archive.namelist(), spec(path)).unfit_step(step_us * 1e-6)
     assert (word in found) if word else not found
 
 
-def test_a_refused_step_names_the_step_that_the_fmu_states(tmp_path):
+def test_message_about_a_refused_step_gives_the_step_size_stated_by_the_fmu(tmp_path):
     path = legs_fmu(tmp_path / "a.fmu", "FIXED=0.002", experiment='stepSize="0.002"')
     with (
         contextlib.closing(FmuHost(spec(path))) as host,
@@ -165,7 +165,7 @@ API FMI(fmi3Set%s)(Instance *instance, const Ref *refs, size_t n, const %s *valu
 
 
 @pytest.mark.parametrize(("kind", "c_type"), [("UInt8", "uint8_t"), ("Int16", "int16_t")])
-def test_integer_brakes_of_fmi_3_hold_their_legs(tmp_path, kind, c_type):
+def test_fmi_3_brake_variables_of_integer_type_hold_their_legs(tmp_path, kind, c_type):
     path = altered(tmp_path, SWITCH % (kind, kind, c_type), f"WITHOUT({kind})")
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}

@@ -57,7 +57,7 @@ def struck(name: str, kind: str, mode: DriveMode) -> tuple[Ends, list[Received]]
 @pytest.mark.parametrize("name", sorted(FAMILIES))
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("mode", [DriveMode.RUN, DriveMode.READY])
-def test_drives_follow_a_foreign_command_and_the_controller_detects_it(name, kind, mode):
+def test_drives_follow_a_command_of_a_second_controller_which_the_first_controller_detects(name, kind, mode):
     ends, heard = struck(name, kind, mode)
     snapshot = ends.nodes.snapshot()
     if mode == DriveMode.READY and name in ENABLED_BY_OWN_FRAME:

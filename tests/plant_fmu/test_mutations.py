@@ -43,7 +43,7 @@ def worst_error(plant, truth):
 
 
 @pytest.mark.parametrize("name", [None, *MUTATIONS])
-def test_the_reference_engines_detect_every_mutation_of_the_equations(unpacked, truth, tmp_path, name):
+def test_reference_engines_detect_every_mutation_of_the_plant_equations(unpacked, truth, tmp_path, name):
     folder, description = unpacked
     shutil.copytree(folder, tmp_path / "fmu")
     source = tmp_path / "fmu" / "sources" / "mechanics.c"

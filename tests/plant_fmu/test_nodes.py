@@ -20,7 +20,7 @@ from tests.drivers.legs_frames import command_frames, opening
 from tests.plant_fmu.rig import MASS, MS, REST, US, Rig, push
 
 
-def test_brakes_hold_the_load_from_power_up_until_run():
+def test_drive_brakes_hold_the_load_from_power_up_until_run():
     rig = Rig(faults=[push(-2000.0)])
     assert rig.states == [DriveState.BOOT] * 6
     rig.at(50 * MS)
@@ -35,7 +35,7 @@ def test_brakes_hold_the_load_from_power_up_until_run():
     assert snapshot.force.tolist() == [2000.0] * 6
 
 
-def test_commands_have_no_effect_before_the_set_up():
+def test_drive_commands_have_no_effect_before_the_set_up():
     rig = Rig()
     for t in range(1, 6):
         rig.command(t * MS, DriveMode.READY if t < 3 else DriveMode.RUN, 100.0)
@@ -56,7 +56,7 @@ def test_commands_have_no_effect_before_the_set_up():
         ([DriveMode.READY, DriveMode.OFF], DriveState.OFF, 1.0),
     ],
 )
-def test_commanded_modes_lead_through_the_states(path, state, brake):
+def test_commanded_modes_lead_a_drive_through_the_expected_states(path, state, brake):
     rig = Rig()
     rig.configure()
     for t, mode in enumerate(path):
@@ -66,7 +66,7 @@ def test_commanded_modes_lead_through_the_states(path, state, brake):
 
 
 @pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.RUN])
-def test_a_set_up_is_rejected_while_the_power_stage_is_on(mode):
+def test_drive_rejects_a_set_up_while_its_power_stage_is_on(mode):
     rig = Rig()
     rig.configure()
     for each in dict.fromkeys((DriveMode.READY, mode)):
@@ -78,7 +78,7 @@ def test_a_set_up_is_rejected_while_the_power_stage_is_on(mode):
     assert rig.brakes == [1.0] * 6
 
 
-def test_a_set_up_does_not_clear_a_fault():
+def test_set_up_does_not_clear_the_fault_of_a_drive():
     rig = Rig()
     rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
     rig.at(2 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))
@@ -88,7 +88,7 @@ def test_a_set_up_does_not_clear_a_fault():
     assert rig.states == [DriveState.OFF] * 6, "it counts all the same"
 
 
-def test_a_constant_force_accelerates_the_legs_uniformly():
+def test_constant_force_accelerates_free_legs_uniformly():
     rig = Rig()
     force = [200.0, -100.0, 50.0, 0.0, 400.0, -300.0]
     rig.run(force)
@@ -102,7 +102,7 @@ def test_a_constant_force_accelerates_the_legs_uniformly():
 
 
 @pytest.mark.parametrize("offset_us", [0, 13, 49, 50, 51, 99])
-def test_sampling_between_grid_points_errs_by_at_most_a_h_squared_over_8(offset_us):
+def test_length_sampled_between_plant_steps_has_an_error_of_at_most_a_h_squared_over_8(offset_us):
     rig = Rig("ideal")
     a = 10.0
     rig.run(a * MASS)
@@ -114,7 +114,7 @@ def test_sampling_between_grid_points_errs_by_at_most_a_h_squared_over_8(offset_
 
 
 @pytest.mark.parametrize(("arrival_us", "acts_us"), [(1049, 1000), (1051, 1100), (1000, 1000)])
-def test_a_command_acts_at_the_nearest_grid_point(arrival_us, acts_us):
+def test_drive_command_acts_at_the_nearest_plant_step(arrival_us, acts_us):
     rig = Rig()
     rig.run()
     rig.command(arrival_us * US, DriveMode.RUN, 200.0)
@@ -122,7 +122,7 @@ def test_a_command_acts_at_the_nearest_grid_point(arrival_us, acts_us):
     assert rig.nodes.snapshot().rate[0] == pytest.approx(9e-3 - acts_us * 1e-6, abs=1e-12)
 
 
-def test_frames_in_one_call_or_in_many_give_the_same_motion():
+def test_frames_given_to_the_drives_in_one_call_or_in_many_give_the_same_motion():
     one, many = Rig(), Rig()
     for rig in (one, many):
         rig.run(100.0)
@@ -138,7 +138,7 @@ def test_frames_in_one_call_or_in_many_give_the_same_motion():
     np.testing.assert_allclose(one.nodes.snapshot().length, many.nodes.snapshot().length, rtol=0, atol=1e-15)
 
 
-def test_start_restores_the_whole_state():
+def test_start_of_the_emulated_drives_restores_their_whole_initial_state():
     rig = Rig(faults=[FramesLoss(probability=0.5, identifier=0x283)])
 
     def live() -> list[tuple[int, Frame]]:
@@ -158,14 +158,14 @@ def test_start_restores_the_whole_state():
     assert str(then) == str(rig.nodes.snapshot())
 
 
-def test_an_earlier_instant_is_refused():
+def test_emulated_drives_refuse_an_instant_before_the_present():
     rig = Rig()
     rig.at(5 * MS)
     with pytest.raises(PlantError, match="before that of the last call"):
         rig.at(4 * MS)
 
 
-def test_the_force_lag_is_a_first_order_lag():
+def test_drive_force_follows_its_command_as_a_first_order_lag():
     bandwidth = 50.0
     rig = Rig(emulation=DriveEmulation(encoder_resolution_m=0, force_bandwidth_Hz=bandwidth))
     rig.run(200.0)
@@ -178,7 +178,7 @@ def test_the_force_lag_is_a_first_order_lag():
     np.testing.assert_allclose(rig.nodes.snapshot().force, reached, rtol=1e-9, err_msg="no leap")
 
 
-def test_encoders_round_to_whole_quanta():
+def test_drive_encoders_round_lengths_to_whole_resolution_steps():
     rig = Rig("ideal", emulation=DriveEmulation(encoder_resolution_m=1e-3))
     rig.run(1000.0)
     measurement = rig.sync(5 * MS)  # 5 m/s^2 for 5 ms: 0.0625 mm, less than half a quantum
@@ -189,7 +189,7 @@ def test_encoders_round_to_whole_quanta():
     np.testing.assert_allclose(measurement["length"], REST + 1e-3, rtol=0, atol=1e-12)
 
 
-def test_heartbeats_are_staggered_and_keep_their_period():
+def test_drive_heartbeats_are_staggered_and_keep_their_period():
     rig = Rig()
     sent = rig.at(350 * MS)
     for node in range(1, 7):
@@ -200,7 +200,7 @@ def test_heartbeats_are_staggered_and_keep_their_period():
     assert [t for t, _ in sent] == sorted(t for t, _ in sent)
 
 
-def test_drives_limit_their_force():
+def test_emulated_drives_saturate_their_force_at_the_force_limit():
     rig = Rig()
     rig.run(70_000.0)
     snapshot = rig.nodes.snapshot()
@@ -210,12 +210,12 @@ def test_drives_limit_their_force():
     assert rig.nodes.snapshot().force.tolist() == [-60_000.0] * 6
 
 
-def test_the_motor_force_limit_allows_for_the_least_efficient_leg():
+def test_motor_force_limit_includes_the_losses_of_the_least_efficient_leg():
     gear = TransmissionSettings(lead_m=0.01, efficiency=[0.9, 0.8, 0.5, 0.9, 0.7, 0.6])
     assert at_motor(DriveSettings(force_limit_N=100.0), Transmission(gear)).force_limit_N == 200.0
 
 
-def test_legs_and_feedback_have_the_force_after_the_losses_of_the_gears():
+def test_leg_force_and_feedback_are_the_motor_force_after_the_losses_of_the_gears():
     rig = Rig("ideal")
     gear = TransmissionSettings(lead_m=0.01, efficiency=[1.0, 0.9, 0.8, 0.7, 0.6, 0.5])
     exact = DriveEmulation(encoder_resolution_m=0.0)

@@ -59,7 +59,7 @@ def show(path):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_assumed_units_replace_undeclared_ones(version, tmp_path):
+def test_units_assumed_in_the_configuration_replace_units_that_an_fmu_does_not_declare(version, tmp_path):
     path = rewritten(version, tmp_path / "u.fmu", *UNITLESS)
     with pytest.raises(PlantError, match=r"declares no unit.*assume_unit: {force: N}"):
         FmuHost(spec(path))
@@ -74,7 +74,7 @@ SIX = ["a", "b", "c", "d", "e", "f"]
 
 
 @pytest.mark.parametrize("key", ["force", "length", "rate", "brake", "wrench"])
-def test_a_key_maps_six_different_variables_or_one_array(key):
+def test_plant_signal_maps_to_six_different_fmu_variables_or_one_array(key):
     for names in (["a"], SIX, *([[]] if key in {"brake", "wrench"} else [])):
         assert getattr(FmuPlant.model_validate(SECTION | {key: names}), key) == names
     for names in (["a", "b"], SIX[:5], [*SIX, "g"], ["a", "f", "b", "b", "e", "f"]):
@@ -90,12 +90,12 @@ def test_a_key_maps_six_different_variables_or_one_array(key):
         ({"assume_unit": {"force": "kN"}}, "'N'"),
     ],
 )
-def test_an_invalid_section_is_refused(changes, word):
+def test_invalid_fmu_section_of_the_configuration_is_refused(changes, word):
     with pytest.raises(ValidationError, match=word):
         FmuPlant.model_validate(SECTION | changes)
 
 
-def test_a_structural_parameter_is_not_listed_and_cannot_be_set(tmp_path):
+def test_structural_fmu_parameter_is_not_listed_and_cannot_be_set(tmp_path):
     """FMI 3.0 allows setting it only in Configuration Mode."""
     mass = rb'(name="mass"[^>]*causality=)"parameter"'
     path = rewritten("3.0", tmp_path / "p.fmu", (mass, rb'\1"structuralParameter"'))
@@ -106,7 +106,7 @@ def test_a_structural_parameter_is_not_listed_and_cannot_be_set(tmp_path):
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("changes", [(), UNITLESS], ids=["units", "none"])
-def test_the_proposed_map_of_our_fmu_is_right_with_and_without_units(version, changes, tmp_path):
+def test_proposed_mapping_of_the_own_fmu_is_right_with_and_without_declared_units(version, changes, tmp_path):
     found = propose(rewritten(version, tmp_path / "p.fmu", *changes))
     names = {"2.0": tuple(f"[{i}]" for i in range(1, 7)), "3.0": ("",)}[version]
     assert found.mapped == {key: tuple(key + name for name in names) for key in KEYS}
@@ -136,7 +136,7 @@ def platform_of_names(names):
         ("u_{}", "l_{}", "Leg Velocity {}", "clamp{}"),
     ],
 )
-def test_names_with_a_leg_number_inside_are_proposed_in_leg_order(names, tmp_path):
+def test_fmu_variables_with_a_leg_number_inside_their_name_are_proposed_in_leg_order(names, tmp_path):
     found = propose(rewritten("2.0", tmp_path / "p.fmu", *UNITLESS, *platform_of_names(names)))
     for key, name in zip(KEYS, names, strict=True):
         first = 0 if "{}_" in name else 1
@@ -146,7 +146,7 @@ def test_names_with_a_leg_number_inside_are_proposed_in_leg_order(names, tmp_pat
 @pytest.mark.parametrize(
     ("name", "file"), [("a_long_name_of_the_{}_th_leg", "a: b.fmu"), ("no, {}: {{#1}}", "[a], 'b\".fmu")]
 )
-def test_the_proposed_section_is_valid_yaml_even_for_odd_names(name, file, tmp_path):
+def test_proposed_fmu_section_is_valid_yaml_even_for_unusual_variable_names(name, file, tmp_path):
     names = [f"{name}_{word}" for word in KEYS]
     path = rewritten("2.0", tmp_path / file, *UNITLESS, *platform_of_names(names))
     _, model = show(path)
@@ -158,7 +158,7 @@ def test_the_proposed_section_is_valid_yaml_even_for_odd_names(name, file, tmp_p
 HOSTILE = "a&#10;hil: all is well &#155;2J \u202e".encode()
 
 
-def test_hostile_texts_of_the_description_are_escaped_in_the_output(tmp_path):
+def test_control_characters_in_an_fmu_description_are_escaped_in_the_output(tmp_path):
     named = (rb'generationTool="[^"]*"', b'generationTool="%b"' % HOSTILE)
     inputs = (rb'name="force"', b'name="%b_force"' % HOSTILE)
     path = rewritten("3.0", tmp_path / "p.fmu", named, inputs, NEEDED)
@@ -171,7 +171,7 @@ def test_hostile_texts_of_the_description_are_escaped_in_the_output(tmp_path):
     assert str(error.value).isprintable()
 
 
-def test_uncoupled_legs_are_distinguished_from_a_platform():
+def test_fmu_with_six_uncoupled_legs_is_distinguished_from_a_platform():
     single = probe(Bench(BenchPlant(type="bench", mass_kg=50.0)), 10.0, 1e-3)
     assert single.uncoupled is True
     np.testing.assert_allclose(np.diag(single.mobility), 1 / 50.0, rtol=1e-3)
@@ -191,6 +191,6 @@ def test_uncoupled_legs_are_distinguished_from_a_platform():
     ],
     ids=["no word", "no six", "two that fit"],
 )
-def test_no_force_is_proposed_unless_exactly_one_group_fits(change, tmp_path):
+def test_force_mapping_is_proposed_only_if_exactly_one_group_of_fmu_variables_fits(change, tmp_path):
     found = propose(rewritten("2.0", tmp_path / "p.fmu", *UNITLESS, change))
     assert found.missing == ("force",)

@@ -30,17 +30,17 @@ class Answers:
 
 
 @pytest.mark.parametrize("force_N", [2.0, -4.0])
-def test_each_leg_is_pushed_alone_from_the_initial_state(force_N):
+def test_coupling_probe_of_an_fmu_pushes_each_leg_alone_from_the_initial_state(force_N):
     plant = Answers()
     found = probe(plant, force_N, DT)  # type: ignore[arg-type]
     np.testing.assert_allclose(found.acceleration, FALL, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.mobility, MOBILITY, rtol=0, atol=1e-12)
-    assert (plant.rate == 0.25).all(), "it stands there afterwards"
+    assert (plant.rate == 0.25).all(), "the probe resets the plant afterwards"
 
 
 @pytest.mark.parametrize("place", [(0, 5), (5, 0), (2, 3)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_legs_are_uncoupled_if_they_move_others_by_less_than_a_thousandth(place, sign):
+def test_fmu_legs_count_as_uncoupled_if_each_moves_the_others_by_less_than_a_thousandth(place, sign):
     own = np.array([0.02, -0.03, 0.01, 1.0, 2.0, 0.05])
     for share, single in ((0.9e-3, True), (1e-3, False), (1.1e-3, False), (1.0, False)):
         mobility = np.diag(own)
@@ -49,7 +49,7 @@ def test_legs_are_uncoupled_if_they_move_others_by_less_than_a_thousandth(place,
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_coupling_is_unknown_unless_every_leg_responds(leg):
+def test_coupling_of_fmu_legs_is_unknown_unless_every_leg_responds(leg):
     for answer in (0.0, np.nan):
         own = np.ones(6)
         own[leg] = answer

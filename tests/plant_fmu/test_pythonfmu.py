@@ -38,7 +38,7 @@ def own(tmp_path_factory):
     return path
 
 
-def test_the_mobility_of_the_fmu_is_that_of_the_controllers_model(own):
+def test_mobility_of_a_pythonfmu_plant_is_that_of_the_controllers_model(own):
     """Two programs of one robot: the controller's mass matrix, and the FMU's response to 1 N in each leg."""
     import numpy as np  # noqa: PLC0415
 
@@ -78,7 +78,7 @@ WRONG = {
 
 @pytest.mark.long
 @pytest.mark.parametrize(("change", "word"), WRONG.values(), ids=WRONG)
-def test_check_names_a_wrong_order_and_another_mass(own, change, word):
+def test_hil_check_reports_a_wrong_leg_order_and_a_different_mass_of_a_pythonfmu_plant(own, change, word):
     text = own.read_text()
     right, wrong = (inspect(loads(each, "my.yaml", own.parent)).warnings for each in (text, change(text)))
     (found,) = set(wrong) - set(right)
@@ -86,7 +86,7 @@ def test_check_names_a_wrong_order_and_another_mass(own, change, word):
 
 
 @pytest.mark.long
-def test_a_run_with_the_fmu_tracks_parks_and_replays(own, tmp_path):
+def test_run_with_a_pythonfmu_plant_tracks_parks_and_replays(own, tmp_path):
     summary = simulate(load(own), log=tmp_path / "run.mcap", duration_s=3.0)
     assert summary["success"]
     assert summary["replay"]["agrees"]

@@ -51,7 +51,7 @@ def gives_way(b: RehearsalBench, force: np.ndarray, brake: np.ndarray) -> list[b
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_brake_force_adds_to_the_friction_of_each_leg(side):
+def test_brake_force_of_a_rehearsed_leg_adds_to_its_friction(side):
     """Friction of 6 N, increased by 1 % of 1000 N from leg to leg; brakes of 200 N."""
     extra = tuple(0.01 * leg for leg in range(6))
     holds = 6.0 + 10.0 * np.arange(6)
@@ -62,7 +62,7 @@ def test_brake_force_adds_to_the_friction_of_each_leg(side):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_placed_leg_goes_at_most_2_percent_beyond_its_stroke(leg):
+def test_leg_placed_by_hand_goes_at_most_2_percent_beyond_its_stroke(leg):
     shorter = tuple(0.1 if k == leg else 0.0 for k in range(6))
     for wiring, longest in ((Wiring(), 0.806), (Wiring(shorter=shorter), 0.776)):
         b = bench(wiring)
@@ -101,7 +101,7 @@ def prepared(seed: int = 1) -> RehearsalBench:
 
 
 @pytest.mark.parametrize("name", READINGS)
-def test_readings_have_the_errors_of_tape_scales_and_gauge(name):
+def test_simulated_manual_readings_have_the_errors_of_tape_scales_and_gauge(name):
     take, true, sigma = READINGS[name]
     b = prepared()
     off = (drawn(lambda: take(b)) - true) / sigma
@@ -118,5 +118,5 @@ def test_readings_have_the_errors_of_tape_scales_and_gauge(name):
         *[(1.0, 0.3, 0.0), (1.0, -0.3, 0.0)],
     ],
 )
-def test_the_operator_reads_if_the_weight_compresses_or_pulls_the_legs(gravity, presses, way):
+def test_simulated_operator_reads_if_the_platform_weight_compresses_or_pulls_the_legs(gravity, presses, way):
     assert bench(Wiring(gravity=gravity), STAND._replace(presses=presses)).do("read_way") == way

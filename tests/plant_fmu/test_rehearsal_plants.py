@@ -39,7 +39,7 @@ def wired(wiring: Wiring) -> tuple[WiredPlant, Legs]:
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("leg", range(6))
-def test_a_hand_moves_a_leg_at_hand_speed_up_to_its_reach(side, leg):
+def test_simulated_hand_moves_a_leg_at_hand_speed_up_to_its_reach(side, leg):
     start = np.full(6, 0.5)
     legs = TrestleLegs(100.0, mass=20.0, friction=10.0, brake=1e4, shortest=0.2, longest=0.8, x=start)
     legs.push(leg, side * 500.0)
@@ -54,7 +54,7 @@ def test_a_hand_moves_a_leg_at_hand_speed_up_to_its_reach(side, leg):
         legs.push(leg, side * 500.0)
 
 
-def test_each_encoder_reads_its_wired_leg_with_its_own_errors():
+def test_each_simulated_encoder_reads_the_leg_it_is_wired_to_with_its_own_errors():
     wiring = Wiring(
         encoder=(1, 0, 2, 3, 4, 5),
         scale=(2.0, 1.0, -1.0, 1.0, 1.0, 1.0),
@@ -77,7 +77,7 @@ def test_each_encoder_reads_its_wired_leg_with_its_own_errors():
     assert reads[5] == pytest.approx(0.52, abs=1e-15)  # frozen at this power-up
 
 
-def test_an_encoder_with_play_follows_after_the_play_is_used_up():
+def test_encoder_with_backlash_follows_its_leg_after_the_backlash_is_used_up():
     plant, legs = wired(Wiring(play_m=(0.005,) * 6))
     seen = []
     for by in (0.0, 0.003, 0.012, 0.009, 0.006):
@@ -89,7 +89,7 @@ def test_an_encoder_with_play_follows_after_the_play_is_used_up():
     np.testing.assert_allclose(reads, legs.length, atol=1e-15)  # at power-up, the reading is the length
 
 
-def test_late_encoders_lagging_forces_and_slipping_couplings_follow_in_time():
+def test_delayed_encoders_lagging_forces_and_slipping_couplings_follow_their_time_laws():
     """Steps of 1 ms: reading 3 ms old, force with a lag of 20 ms (1 - (1 - 1/20)^n), coupling of 10 N."""
     legs = Legs()
     wiring = Wiring(
@@ -114,7 +114,7 @@ def test_late_encoders_lagging_forces_and_slipping_couplings_follow_in_time():
     assert min(np.diff(slips)) > 0.0, "a motor whose coupling slips runs ahead of its leg"
 
 
-def test_late_brake_opens_in_time_and_shuts_later():
+def test_brake_with_slow_closing_opens_in_time_and_closes_late():
     legs = Legs()
     legs.internal_step_s = 1e-3
     plant = WiredPlant(legs, Wiring(brake_late_s=(0.0, 2e-3, 0.0, 0.0, 0.0, 0.0)), MIDDLE)

@@ -20,7 +20,7 @@ def load(plant, g, state, leg_spin):
 
 
 @pytest.mark.parametrize(("leg_spin", "prefix"), SPINS)
-def test_all_30_states_agree_with_mujoco_within_1e_9(direct, truth, leg_spin, prefix):
+def test_accelerations_in_30_states_agree_with_mujoco_within_1e_9(direct, truth, leg_spin, prefix):
     plant = direct()
     worst: dict[str, float] = {}
     for case in truth["cases"]:
@@ -40,7 +40,7 @@ def test_all_30_states_agree_with_mujoco_within_1e_9(direct, truth, leg_spin, pr
     assert max(worst.values()) <= 1e-9, worst
 
 
-def test_the_two_modes_of_leg_spin_differ_in_the_reference_data(truth):
+def test_reference_data_differ_between_free_and_universal_leg_spin(truth):
     differences = [
         relative(c["expected"]["ujoint_fd_alpha"], c["expected"]["fd_alpha"], 1.0) for c in truth["cases"]
     ]
@@ -110,7 +110,9 @@ class Trajectory:
 
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize(("leg_spin", "prefix"), SPINS)
-def test_trajectories_agree_within_1e_7_m_with_an_outer_runge_kutta(direct, truth, index, leg_spin, prefix):
+def test_trajectories_agree_with_an_independent_runge_kutta_within_1e_7_m(
+    direct, truth, index, leg_spin, prefix
+):
     sim = truth["simulations"][index]
     x = Trajectory(direct(), truth, sim, leg_spin).integrate(1e-3)
     assert np.abs(x[:, :3] - np.array(sim["expected"][prefix + "p"])).max() <= 1e-7
@@ -119,7 +121,7 @@ def test_trajectories_agree_within_1e_7_m_with_an_outer_runge_kutta(direct, trut
         assert np.abs(R - np.array(sim["expected"]["R"])).max() <= 1e-6
 
 
-def test_a_force_law_sampled_every_step_converges_at_first_order(direct, truth):
+def test_plant_motion_under_a_force_law_sampled_every_step_converges_at_first_order(direct, truth):
     sim = truth["simulations"][0]
     want = np.array(sim["expected"]["p"])
     errors = []

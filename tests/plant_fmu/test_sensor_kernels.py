@@ -13,7 +13,7 @@ ANGLES = [0.0, 1e-12, 1e-9, 9.9e-5, 1.01e-4, 1e-2, 1.0, 2.0, 3.0, np.pi - 1e-6]
 
 @pytest.mark.parametrize("angle", ANGLES)
 @pytest.mark.parametrize("seed", range(20))
-def test_the_rotation_vector_agrees_with_scipy_for_any_axis_and_angle(angle, seed):
+def test_rotation_vector_of_a_sensor_sample_agrees_with_scipy_for_any_axis_and_angle(angle, seed):
     axis = np.random.default_rng(seed).standard_normal(3)
     r = angle * axis / np.linalg.norm(axis)
     other = 1e-3 * np.random.default_rng(seed + 100).standard_normal(3)
@@ -24,7 +24,7 @@ def test_the_rotation_vector_agrees_with_scipy_for_any_axis_and_angle(angle, see
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("dt_s", [0.0, 3e-5, 1e-3])
-def test_a_pose_is_extrapolated_with_its_twist(dt_s, seed):
+def test_pose_of_a_sensor_sample_is_extrapolated_with_its_twist(dt_s, seed):
     chance = np.random.default_rng(seed)
     p, twist = chance.standard_normal(3), 3.0 * chance.standard_normal(6)
     R = Rotation.from_rotvec(chance.standard_normal(3))

@@ -97,7 +97,7 @@ def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=Non
     return found, rejected
 
 
-def test_a_tracker_sends_the_true_pose_of_its_time_stamp_after_5_ms():
+def test_pose_tracker_sends_the_true_pose_at_its_time_stamp_5_ms_later():
     found, rejected = run(EXACT)
     assert rejected == 0
     assert len(found["tracker"]) == pytest.approx(200 / 5, abs=2)
@@ -131,7 +131,7 @@ def test_a_wrench_sensor_measures_the_load_in_the_platform_frame():
         assert values[3:] == pytest.approx(R.T @ WRENCH[3:], abs=2e-3)
 
 
-def test_noise_and_bias_have_the_configured_size():
+def test_noise_and_bias_of_simulated_sensors_have_the_configured_size():
     bias = SensorEmulation(
         tracker=TrackerEmulation(position_bias_m=(0.01, -0.02, 0.03), rotation_bias_deg=(1.0, -0.5, 2.0)),
         imu=ImuEmulation(angular_rate_bias_rad_s=(0.1, 0.2, -0.3), specific_force_bias_m_s2=(0.4, 0.5, -0.2)),
@@ -165,7 +165,7 @@ def test_noise_and_bias_have_the_configured_size():
         assert np.std(samples, axis=0) == pytest.approx(std, rel=0.1)
 
 
-def test_lost_samples_leave_gaps_and_a_seed_repeats_the_run():
+def test_lost_samples_of_simulated_sensors_leave_counter_gaps_and_a_seed_repeats_the_run():
     lossy = EXACT.model_copy(update={"tracker": TrackerEmulation(lost_percent=20.0)})
     found, rejected = run(lossy, ticks=500)
     assert rejected == 0
@@ -177,7 +177,7 @@ def test_lost_samples_leave_gaps_and_a_seed_repeats_the_run():
     assert not np.array_equal(found["tracker"][0][2], other["tracker"][0][2])
 
 
-def test_faults_of_frames_affect_sensors_as_well():
+def test_injected_frame_faults_affect_sensor_frames_too():
     lost, _ = run(EXACT, faults=FaultPlan([FramesLoss(identifier=0x407)]))
     assert lost["tracker"] == []
     assert lost["imu"]
@@ -196,7 +196,7 @@ def test_faults_of_frames_affect_sensors_as_well():
         (Frame(0x110, b"\xa7\xc3"), False),
     ],
 )
-def test_only_an_intact_sync_is_used_for_time_stamps(frame, stamps):
+def test_only_an_intact_sync_is_used_for_sensor_time_stamps(frame, stamps):
     nodes = sensed(Mover(), SensorSettings(imu=ImuSettings()))
     nodes.start(0)
     sent = nodes.step(1 * MS, [Received(1 * MS, frame)]) + nodes.step(20 * MS, [])
@@ -205,7 +205,7 @@ def test_only_an_intact_sync_is_used_for_time_stamps(frame, stamps):
 
 
 @pytest.mark.parametrize("bus", [0, 1])
-def test_time_stamps_are_relative_to_the_sync_on_the_sensors_own_bus(bus):
+def test_sensor_time_stamps_are_relative_to_the_sync_on_the_bus_of_the_sensor(bus):
     legs = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
     settings = SensorSettings(imu=ImuSettings(channel="b"))
     protocol = SensorProtocol(BusSettings.model_validate({"channels": legs}), settings)
@@ -215,7 +215,7 @@ def test_time_stamps_are_relative_to_the_sync_on_the_sensors_own_bus(bus):
     nodes.step(1 * MS, [Received(1 * MS, opening(drives, 0)[bus])])
     sensed = [frame.bus for _, frame in nodes.step(20 * MS, []) if frame.id == 0x488]
     assert sensed == [1] * len(sensed)
-    assert bool(sensed) == (bus == 1), "it hears the SYNC of its own bus alone"
+    assert bool(sensed) == (bus == 1), "a sensor receives the SYNC of its own bus alone"
 
 
 def test_sensors_on_a_plant_without_a_pose_are_refused():
@@ -232,7 +232,7 @@ def sensed(plant: Mover, settings: SensorSettings = ALL, noise: SensorEmulation 
 
 
 @pytest.mark.parametrize("t0_ns", [0, 1, 3 * MS])
-def test_the_first_imu_sample_after_a_start_contains_gravity_alone(t0_ns):
+def test_first_imu_sample_after_a_start_contains_gravity_alone(t0_ns):
     settings = SensorSettings(imu=ImuSettings())
     nodes, protocol = sensed(Mover(), settings), SensorProtocol(BusSettings(), settings)
     for _ in range(2):

@@ -11,14 +11,14 @@ def energy(plant, force):
     return plant.get("kinetic_energy")[0] + plant.get("potential_energy")[0] - force @ plant.get("length")
 
 
-def test_the_home_pose_is_in_balance_at_the_known_static_force(direct):
+def test_home_pose_is_in_balance_at_the_known_static_force(direct):
     plant = direct()
     plant.start(force=np.full(6, HOME_FORCE), brake=np.zeros(6))
     assert np.abs(plant.get("acceleration")).max() < 1e-8
 
 
 @pytest.mark.parametrize("leg_spin", ["none", "universal"])
-def test_energy_of_a_swinging_platform_drifts_by_less_than_1e_10_in_10_s(direct, leg_spin):
+def test_energy_of_a_frictionless_swinging_platform_drifts_by_less_than_1e_10_in_10_s(direct, leg_spin):
     plant = direct()
     # gravity pulls away from the base: the platform hangs on its legs
     plant.set(gravity=[0, 0, 9.81], initial_twist=[0.5, -0.4, 0.45, 0.1, -0.2, 0.15], leg_spin=leg_spin)
@@ -43,7 +43,7 @@ def test_brakes_hold_the_platform_for_10_s_within_a_micrometre(direct):
     assert np.abs(plant.get("rate")).max() < 1e-9
 
 
-def test_a_brake_weaker_than_the_load_slips(direct):
+def test_brake_weaker_than_its_load_slips(direct):
     plant = direct()
     plant.set(brake_force=np.full(6, 0.9 * HOME_FORCE))
     plant.start()
@@ -73,7 +73,7 @@ def test_brakes_stop_a_moving_platform_within_their_largest_force(direct):
     assert work > 0.5 * 8000.0 * travel.sum()
 
 
-def test_a_leg_sticks_below_its_coulomb_friction_and_slides_above(direct):
+def test_leg_sticks_below_its_coulomb_friction_force_and_slides_above(direct):
     plant = direct()
     plant.set(coulomb_friction=np.full(6, 100.0))
     plant.start(force=np.full(6, HOME_FORCE + 99.0), brake=np.zeros(6))
@@ -86,7 +86,7 @@ def test_a_leg_sticks_below_its_coulomb_friction_and_slides_above(direct):
     assert with_friction == pytest.approx(free.get("acceleration"), rel=1e-6, abs=1e-6)
 
 
-def test_viscous_friction_is_minus_b_times_the_rate(direct):
+def test_viscous_friction_force_of_a_leg_is_minus_b_times_its_rate(direct):
     twist = [0.1, 0.2, -0.3, 0.1, 0.0, 0.2]
     b = np.array([100.0, 200.0, 300.0, 400.0, 500.0, 600.0])
     damped, free = direct(), direct()
@@ -98,7 +98,7 @@ def test_viscous_friction_is_minus_b_times_the_rate(direct):
 
 
 @pytest.mark.parametrize("name", ["coulomb_friction", "brake_force"])
-def test_each_leg_has_its_own_dry_friction_and_brake(direct, name):
+def test_dry_friction_and_brake_force_may_differ_between_the_legs(direct, name):
     twist = [0.1, 0.2, -0.3, 0.1, 0.0, 0.2]
     most = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
     rubbing, free = direct(), direct()
@@ -109,7 +109,7 @@ def test_each_leg_has_its_own_dry_friction_and_brake(direct, name):
     assert rubbing.get("acceleration") == pytest.approx(free.get("acceleration"), rel=1e-9)
 
 
-def test_each_leg_has_its_own_reflected_mass(direct):
+def test_reflected_mass_may_differ_between_the_legs(direct):
     """The reflected mass m of a leg takes m ddl of its force."""
     force, mass = HOME_FORCE + np.arange(6) * 50.0, np.arange(6) * 100.0
     heavy, light = direct(), direct()
@@ -139,7 +139,7 @@ def test_a_falling_platform_comes_to_rest_on_its_end_stops(direct):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_each_leg_has_its_own_end_stops(direct, leg):
+def test_end_stops_may_differ_between_the_legs(direct, leg):
     for name, end, force in (("length_min", 1.57, 0.0), ("length_max", 1.61, 8000.0)):
         plant, ends = direct(), np.full(6, 1.3 if name == "length_min" else 2.0)
         ends[leg] = end
@@ -173,7 +173,7 @@ def test_upper_end_stops_limit_the_legs_and_never_stick(direct):
     assert (plant.get("length") < 1.595).all()
 
 
-def test_very_stiff_end_stops_are_stable(direct):
+def test_simulation_with_very_stiff_end_stops_is_stable(direct):
     plant = direct()
     plant.set(length_min=np.full(6, 1.5), stop_stiffness=1e12, stop_damping=1e3)
     plant.start(brake=np.zeros(6))
@@ -181,7 +181,7 @@ def test_very_stiff_end_stops_are_stable(direct):
     assert plant.get("length") == pytest.approx(np.full(6, 1.5), abs=1e-6)
 
 
-def test_the_force_lag_is_exact_at_any_internal_step(direct):
+def test_first_order_lag_of_the_leg_force_is_exact_at_any_internal_step(direct):
     coarse, fine = direct(), direct()
     for plant, h in ((coarse, 1e-3), (fine, 1e-4)):
         plant.set(force_bandwidth=50.0, internal_step=h)
@@ -192,7 +192,7 @@ def test_the_force_lag_is_exact_at_any_internal_step(direct):
     assert fine.get("applied_force") == pytest.approx(want, rel=1e-13)
 
 
-def test_the_integrator_converges_at_fourth_order(direct):
+def test_integrator_of_the_platform_plant_converges_at_fourth_order(direct):
     ends = []
     for h in (8e-3, 4e-3, 5e-4):
         plant = direct()
@@ -204,7 +204,7 @@ def test_the_integrator_converges_at_fourth_order(direct):
     assert first / second == pytest.approx(16.0, rel=0.25)
 
 
-def test_the_state_can_be_saved_restored_and_serialised(direct):
+def test_fmu_state_can_be_saved_restored_and_serialised(direct):
     plant = direct()
     plant.set(force_bandwidth=100.0)
     plant.start(force=np.full(6, 3000.0), brake=np.zeros(6))
@@ -227,7 +227,7 @@ def test_the_state_can_be_saved_restored_and_serialised(direct):
 @pytest.mark.parametrize(
     ("t", "dt"), [(1e-3, 1.05e-4), (1e-3, 0.99999e-3), (1e-3, -1e-3), (1e-3, np.nan), (0.5, 1e-3)]
 )
-def test_a_step_of_invalid_length_or_start_is_refused_without_effect(direct, t, dt):
+def test_fmu_step_of_invalid_length_or_start_time_is_refused_without_effect(direct, t, dt):
     plant = direct()
     plant.start(brake=np.zeros(6))
     plant.step(1e-3)
@@ -239,7 +239,7 @@ def test_a_step_of_invalid_length_or_start_is_refused_without_effect(direct, t, 
     plant.fmu.doStep(1e-3, 1e-3)
 
 
-def test_the_time_of_the_fmu_does_not_drift(direct):
+def test_time_of_the_fmu_does_not_drift_over_many_steps(direct):
     plant = direct()
     plant.start()
     for k in range(20_000):
@@ -263,7 +263,7 @@ def test_the_time_of_the_fmu_does_not_drift(direct):
         ({"platform_joints": np.zeros((6, 3)), "initial_position": [2.0, 0.0, 0.0]}, "no length"),
     ],
 )
-def test_physically_impossible_parameters_are_refused(direct, values, word):
+def test_physically_impossible_fmu_parameters_are_refused(direct, values, word):
     plant = direct()
     plant.set(**values)
     with pytest.raises(FMICallException):
@@ -271,7 +271,7 @@ def test_physically_impossible_parameters_are_refused(direct, values, word):
     assert word in plant.messages[-1]
 
 
-def test_reading_and_setting_in_the_wrong_mode_is_refused(direct):
+def test_reading_and_setting_fmu_variables_in_the_wrong_fmi_mode_is_refused(direct):
     plant = direct()
     for output in ("length", "potential_energy"):
         with pytest.raises(FMICallException):
@@ -300,7 +300,7 @@ LEAST_0 = (
         *(("force", 1e6, value) for value in (np.nan, np.inf, -np.inf)),
     ],
 )
-def test_a_value_out_of_range_is_refused_with_the_variables_name(direct, name, allowed, refused):
+def test_fmu_value_out_of_range_is_refused_with_the_variable(direct, name, allowed, refused):
     plant = direct()
     plant.set(**{name: np.full(plant.size[name], allowed)})
     for element in range(plant.size[name]):

@@ -39,7 +39,7 @@ SETTINGS = StewartPlant(
 )
 
 
-def test_each_figure_of_a_robot_becomes_the_parameter_of_its_name():
+def test_each_configured_property_of_a_robot_sets_the_corresponding_fmu_parameter():
     assert stewart_parameters(SETTINGS, ROBOT) == {
         "base_joints": [100.0 + k for k in range(18)],
         "platform_joints": [200.0 + k for k in range(18)],

@@ -28,7 +28,7 @@ def turns_of(length: np.ndarray) -> np.ndarray:
     return Transmission(GEAR).turns(length)
 
 
-def test_each_encoder_loses_a_whole_multiple_of_its_forgotten_turns():
+def test_each_encoder_loses_a_whole_multiple_of_the_turns_its_drive_forgets_at_power_off():
     counted = turns_of(REST - forgotten_m(HOMING, Transmission(GEAR), REST))
     assert (np.abs(counted) <= FORGETS / 2 + 1e-9).all()
     forgotten = (turns_of(REST) - counted) / FORGETS
@@ -44,7 +44,7 @@ class Moving(Masses):
         return self.q, np.full(6, 0.1)
 
 
-def test_a_drive_restarted_in_motion_loses_its_turns_up_to_then():
+def test_drive_restarted_in_motion_loses_the_encoder_turns_counted_before_the_restart():
     protocol = LegsProtocol("ideal", (1, 2, 3, 4, 5, 6))
     settings = DriveSettings(transmission=GEAR, homing=HOMING)
     faults = FaultPlan([DriveReset(leg=4, at_s=0.5)])
@@ -57,4 +57,4 @@ def test_a_drive_restarted_in_motion_loses_its_turns_up_to_then():
         seen.append(decode(protocol, received, tick, new_record())["length"].copy())
     steps = seen[1] - seen[0]
     np.testing.assert_allclose(np.delete(steps, 4), 0.1 * 2e-3, rtol=0, atol=1e-12)
-    assert steps[4] == pytest.approx(0.1 * 2e-3 - LEADS[4], abs=1e-12), "it has moved one turn by then"
+    assert steps[4] == pytest.approx(0.1 * 2e-3 - LEADS[4], abs=1e-12), "the leg has moved one turn by then"

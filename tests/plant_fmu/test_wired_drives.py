@@ -61,7 +61,7 @@ def test_a_drive_with_factory_settings_sends_only_canopen_heartbeats(mute):
 
 
 @pytest.mark.parametrize(("first", "second"), [(2, 3), (3, 2), (0, 5), (5, 0)])
-def test_two_drives_with_one_node_number_both_send_their_own_length(first, second):
+def test_two_drives_with_the_same_node_number_both_send_their_own_length(first, second):
     """`second` has the number of `first`: both answer under it, each with its own measurement."""
     number = tuple(first if drive == second else drive for drive in range(LEGS))
     rig = WiredRig(Wiring(answers_as=number))
@@ -74,7 +74,7 @@ def test_two_drives_with_one_node_number_both_send_their_own_length(first, secon
 
 
 @pytest.mark.parametrize("number", [(0, 1, 2, 3, 4, 5), (1, 0, 2, 5, 3, 4)])
-def test_a_wrong_watchdog_confirms_the_time_that_was_set(number):
+def test_drive_whose_watchdog_has_a_wrong_time_still_confirms_the_configured_time(number):
     """inf: the watchdog never ends."""
     factors = (1.0, 8.0, 0.3, inf, 2.5, 0.5)
     rig, right = WiredRig(Wiring(answers_as=number, watchdog=factors)), Rig()
@@ -90,7 +90,7 @@ def test_a_wrong_watchdog_confirms_the_time_that_was_set(number):
 
 
 @pytest.mark.parametrize("layout", ["classic", "fd"])
-def test_commands_and_stops_reach_the_drives_with_the_node_number(layout):
+def test_commands_and_emergency_stops_reach_every_drive_with_the_addressed_node_number(layout):
     rig = WiredRig(CROSSED, layout)
     rig.configure()
     rig.command(0, DriveMode.READY, (100.0 * np.arange(6.0) - 250.0).tolist())

@@ -27,12 +27,12 @@ def changed(wiring: Wiring) -> dict[str, Any]:
         ("none", (0,)),
     ],
 )
-def test_unknown_mistakes_and_missing_or_repeated_legs_are_refused(name, legs):
+def test_unknown_wiring_mistakes_and_missing_or_repeated_legs_are_refused(name, legs):
     with pytest.raises(ValueError, match=r"different legs|unknown"):
         wired(Mistake(name, *legs))
 
 
-def test_several_mistakes_combine_by_multiplication_or_in_sequence():
+def test_several_wiring_mistakes_combine_by_multiplication_or_in_sequence():
     both = wired(Mistake("encoder_scale", 1, value=3.0), Mistake("drive_reversed", 1))
     assert changed(both) == {
         "scale": (1.0, -3.0, 1.0, 1.0, 1.0, 1.0),
@@ -45,7 +45,7 @@ def test_several_mistakes_combine_by_multiplication_or_in_sequence():
     assert two.brake[1] == {0, 1, 4}
 
 
-def test_mistakes_made_when_mounting_add_to_the_wiring_on_trestles():
+def test_mistakes_made_when_mounting_the_legs_add_to_those_found_before_mounting():
     wiring = wired(Mistake("payload", 0, value=1.3, mounting=True), Mistake("offset", 2, value=1e-3))
     assert changed(wiring).keys() == {"offset_m", "mounting"}
     assert changed(wiring.as_mounted) == {"offset_m": wiring.offset_m, "payload": 1.3}

@@ -48,7 +48,7 @@ def whole(run: Process) -> dict[str, Any]:
 
 
 @pytest.mark.long
-def test_bench_time_pauses_while_daemon_or_plant_is_stopped(
+def test_simulated_time_pauses_while_the_controller_or_plant_process_is_stopped(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     run = moving(start, listen, configuration(tmp_path, LASTING, patient=False))
@@ -69,7 +69,9 @@ def test_bench_time_pauses_while_daemon_or_plant_is_stopped(
 
 @pytest.mark.long
 @pytest.mark.realtime
-def test_stall_is_a_fault_with_on_stall_fault(tmp_path: Path, start: Start, listen: Listen) -> None:
+def test_plant_process_stall_is_a_fault_if_so_configured(
+    tmp_path: Path, start: Start, listen: Listen
+) -> None:
     changes = {"on_stall: stretch": "on_stall: fault"}
     file = configuration(tmp_path, {**changes, "rate_Hz: 1000": "rate_Hz: 500"}, patient=False)
     run = start("run", str(file), "--plant", entry="tests.realtime.assumed_realtime")
@@ -85,7 +87,7 @@ def test_stall_is_a_fault_with_on_stall_fault(tmp_path: Path, start: Start, list
 
 @pytest.mark.long
 @pytest.mark.realtime
-def test_plant_stopped_for_too_long_is_a_fault(tmp_path: Path, start: Start, listen: Listen) -> None:
+def test_plant_process_stopped_for_1_s_causes_a_fault(tmp_path: Path, start: Start, listen: Listen) -> None:
     run = moving(start, listen, configuration(tmp_path, patient=False))
     plant = run.find_family()["plant"]
     os.kill(plant, signal.SIGSTOP)
@@ -101,7 +103,7 @@ def test_plant_stopped_for_too_long_is_a_fault(tmp_path: Path, start: Start, lis
 
 @pytest.mark.long
 @pytest.mark.realtime
-def test_run_is_parked_if_bench_time_pauses_too_much_in_total(
+def test_run_is_parked_if_the_pauses_of_simulated_time_exceed_their_total_limit(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     changes = {"stretch_percent: 100": "stretch_percent: 0"}
@@ -121,7 +123,7 @@ def test_run_is_parked_if_bench_time_pauses_too_much_in_total(
 
 
 @pytest.mark.long
-def test_listeners_that_never_read_or_are_stopped_disturb_no_run(
+def test_bus_listeners_that_never_read_or_are_stopped_do_not_disturb_a_run(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     """Twenty that never read, and python-can's own logger, which is stopped for a while."""

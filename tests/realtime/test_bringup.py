@@ -44,7 +44,7 @@ def hold_up(process: Process) -> None:
 
 
 @pytest.mark.realtime
-def test_watchdogs_of_damping_drives_are_proven_and_answers_are_in_time(tmp_path: Path, start: Start) -> None:
+def test_bringup_proves_watchdogs_of_damping_drives_with_timely_answers(tmp_path: Path, start: Start) -> None:
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
     family = FAMILIES["moteus_zero_velocity"]
     bus = {**family["bus"], "channel": CHANNEL}
@@ -61,7 +61,9 @@ def test_watchdogs_of_damping_drives_are_proven_and_answers_are_in_time(tmp_path
 
 
 @pytest.mark.realtime(patient=True)
-def test_exchanged_drives_are_found_and_tested_again_after_the_fix(tmp_path: Path, start: Start) -> None:
+def test_bringup_detects_exchanged_drives_and_retests_them_after_the_fix(
+    tmp_path: Path, start: Start
+) -> None:
     file = configuration(tmp_path)
     plant, bringup = begun(start, file, "ids_swapped leg=1 other=4")
     assert ended(plant, bringup, 1) == [["ids", " legs 1, 4"]]
@@ -76,7 +78,7 @@ def test_exchanged_drives_are_found_and_tested_again_after_the_fix(tmp_path: Pat
 
 
 @pytest.mark.realtime(patient=True)
-def test_good_machine_moves_at_the_end_although_its_bench_stalls(tmp_path: Path, start: Start) -> None:
+def test_bringup_ends_with_motion_although_the_plant_process_stalls(tmp_path: Path, start: Start) -> None:
     plant, bringup = begun(start, configuration(tmp_path, patient=False))
     end = time.monotonic() + 120.0
     while not (runs := [log for log in tmp_path.rglob("*.mcap") if not _of_others(log.stem)]):
@@ -90,7 +92,7 @@ def test_good_machine_moves_at_the_end_although_its_bench_stalls(tmp_path: Path,
 
 
 @pytest.mark.realtime(patient=True)
-def test_steps_succeed_although_bench_and_bring_up_stall(tmp_path: Path, start: Start) -> None:
+def test_bringup_succeeds_although_plant_and_bringup_processes_stall(tmp_path: Path, start: Start) -> None:
     plant, bringup = begun(start, configuration(tmp_path, patient=False), "force_sign leg=5")
     bringup.wait_for_child("hil.record")
     turn = stops = 0

@@ -106,7 +106,7 @@ def ended_by_name(run: Process) -> None:
     assert any(name in run.errors for name in NAMED), run.errors
 
 
-def test_attacks_move_no_leg_beyond_the_stopping_distance(
+def test_forged_frames_on_the_bus_move_no_leg_beyond_the_stopping_distance(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener]
 ) -> None:
     """The first run is attacked during motion, the others from before their start.

@@ -23,7 +23,7 @@ ALONG = np.array([0.25, 0.5, -0.25])
 """Direction of the path of configs/virtual.yaml, m."""
 
 
-def test_ctrl_c_stops_along_the_path_and_parks_with_success(
+def test_first_ctrl_c_stops_the_platform_along_its_path_and_parks_with_success(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     file = configuration(tmp_path, LASTING)
@@ -63,7 +63,7 @@ def test_ctrl_c_stops_along_the_path_and_parks_with_success(
 
 
 @pytest.mark.long
-def test_second_ctrl_c_is_an_emergency_stop_and_a_failure(
+def test_second_ctrl_c_causes_an_emergency_stop_and_the_run_fails(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     file = configuration(tmp_path, LASTING)
@@ -87,7 +87,7 @@ def test_second_ctrl_c_is_an_emergency_stop_and_a_failure(
 
 
 @pytest.mark.long
-def test_ctrl_c_before_the_loop_ends_the_start_with_one_message(tmp_path: Path, start: Start) -> None:
+def test_ctrl_c_before_the_loop_begins_ends_the_run_with_one_message(tmp_path: Path, start: Start) -> None:
     file = configuration(tmp_path)
     run = start("run", str(file), "--plant")
     run.wait_for_child("hil.cli plant")

@@ -163,7 +163,7 @@ def message(v: dict[str, Any]) -> can.Message:
     return can.Message(arbitration_id=v["id"], data=bytes.fromhex(v["data"]), is_extended_id=v["extended"])
 
 
-def test_mit_and_odrive_frames_agree_with_independent_code():
+def test_mit_and_odrive_frames_from_data_sheets_agree_with_independent_code():
     for v in vectors("mit", "command: torque only"):
         if v["inputs"]["range"] == "classic_V65":
             (sent,) = MINI_CHEETAH.torque(1, v["inputs"]["torque_Nm"])
@@ -188,7 +188,7 @@ def test_mit_and_odrive_frames_agree_with_independent_code():
         assert heard == pytest.approx((1, v["inputs"]["Pos_Estimate"], v["inputs"]["Vel_Estimate"]), rel=1e-6)
 
 
-def test_robstride_frames_agree_with_independent_code():
+def test_robstride_frames_from_data_sheets_agree_with_independent_code():
     for v in vectors("robstride", "type 1 operation control torque only"):
         (sent,) = ROBSTRIDE.torque(1, v["inputs"]["torque_Nm"])
         assert (sent.arbitration_id, sent.data.hex(), sent.is_extended_id) == (v["id"], v["data"], True)
@@ -206,7 +206,7 @@ def test_robstride_frames_agree_with_independent_code():
     assert ROBSTRIDE.read(ROBSTRIDE.opening(1)[1]) is None
 
 
-def test_cubemars_frames_agree_with_independent_code():
+def test_cubemars_frames_from_data_sheets_agree_with_independent_code():
     """Position and velocity are zero here; the torque of the independent code is in the last 12 bits."""
     commands = [v for v in vectors("mit", "command") if v["inputs"]["range"] == "AK80-9_V50"]
     assert len({v["inputs"]["torque_Nm"] for v in commands}) == 5
@@ -266,7 +266,7 @@ def lifted(drive: Master, lead_m: float) -> dict[int, float]:
 @pytest.mark.long
 @pytest.mark.realtime(patient=True)
 @pytest.mark.parametrize("name", FAMILIES)
-def test_data_sheet_controller_lifts_all_legs(name, tmp_path):
+def test_controller_written_from_data_sheets_lifts_all_legs_of_the_emulated_drives(name, tmp_path):
     drive, drives, transmission = FAMILIES[name]
     changes = {
         "bus": {"channel": CHANNEL, "layout": "classic"},

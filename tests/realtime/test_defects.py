@@ -18,7 +18,7 @@ pytestmark = pytest.mark.realtime(patient=True)
 
 
 @pytest.mark.long
-def test_exception_in_the_law_latches_a_fault_and_the_drives_hold(
+def test_exception_in_the_control_law_causes_a_lasting_fault_and_the_drives_hold_the_platform(
     tmp_path: Path, start: Callable[..., Process]
 ) -> None:
     file = configuration(tmp_path)
@@ -57,7 +57,9 @@ HUNG = """  model:
 
 
 @pytest.mark.long
-def test_hanging_plant_is_reported_first(tmp_path: Path, start: Callable[..., Process]) -> None:
+def test_hanging_plant_is_reported_before_its_consequences(
+    tmp_path: Path, start: Callable[..., Process]
+) -> None:
     path = altered(tmp_path, f"if (time > 3.0) for (;;) usleep(1000); {STEP_LINE}")
     stewart = "  model:\n    type: stewart  "
     file = configuration(tmp_path, {"    internal_step_us: 100\n": "", stewart: HUNG.format(path=path)})

@@ -17,7 +17,9 @@ EXAMPLE = ROOT / "docs" / "examples" / "foreign_controller.py"
 
 
 @pytest.mark.long
-def test_example_sets_up_lifts_and_parks_the_drives(tmp_path: Path, start: Callable[..., Process]) -> None:
+def test_example_controller_sets_up_lifts_and_parks_the_drives(
+    tmp_path: Path, start: Callable[..., Process]
+) -> None:
     text = (ROOT / "configs" / "bench.yaml").read_text()
     for old, new in (
         ("channel: bench0", f"channel: {CHANNEL}"),

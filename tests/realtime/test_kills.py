@@ -59,7 +59,7 @@ def last_command(file: Path, log: Log) -> tuple[int, int]:
     return found
 
 
-def test_killed_daemon_leaves_a_platform_at_rest_and_a_complete_log(
+def test_platform_is_at_rest_and_the_log_complete_after_the_controller_process_is_killed(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     file = configuration(tmp_path, {"watchdog_ms: 150 ": "watchdog_ms: 10 ", **FULL_RATE})
@@ -103,7 +103,7 @@ def test_killed_daemon_leaves_a_platform_at_rest_and_a_complete_log(
 @pytest.mark.long
 @pytest.mark.realtime(patient=True)
 @pytest.mark.parametrize("on_loss", ["continue", "stop"])
-def test_platform_parks_safely_if_the_recorder_is_killed(
+def test_platform_parks_safely_if_the_recorder_process_is_killed(
     tmp_path: Path, start: Start, listen: Listen, on_loss: str
 ) -> None:
     changes = {"on_recorder_loss: continue": f"on_recorder_loss: {on_loss}"}
@@ -136,7 +136,7 @@ def test_platform_parks_safely_if_the_recorder_is_killed(
 
 
 @pytest.mark.long
-def test_logs_lose_at_most_a_quarter_second_if_all_processes_are_killed(
+def test_log_loses_at_most_a_quarter_second_if_all_processes_are_killed(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     file = configuration(tmp_path)
@@ -167,7 +167,7 @@ def test_logs_lose_at_most_a_quarter_second_if_all_processes_are_killed(
 
 
 @pytest.mark.long
-def test_daemon_faults_within_five_periods_if_the_plant_is_killed(
+def test_controller_faults_within_five_periods_if_the_plant_process_is_killed(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     file = configuration(tmp_path, {"stale_fault_ticks: 60": "stale_fault_ticks: 5"})

@@ -55,7 +55,7 @@ OTHERS = [Frame(0x7E0, bytes((n,))) for n in range(3)]
         "what is not yet to be on the bus",
     ],
 )
-def test_newest_feedback_of_each_drive_is_sent(
+def test_plant_process_sends_only_the_newest_feedback_of_each_drive_after_a_stall(
     protocol: Any, queued: list[tuple[int, Frame]], now_ns: int, sent: list[Frame]
 ) -> None:
     assert [*sent_frames(latest(timed_array(queued), now_ns, protocol))] == sent

@@ -80,7 +80,7 @@ def holder() -> Iterator[Callable[[], subprocess.Popen[str]]]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("end", [signal.SIGSTOP, signal.SIGKILL])
-def test_key_is_released_if_its_holder_is_killed_or_stopped(
+def test_enabling_key_is_released_if_the_operator_process_that_holds_it_is_killed_or_stopped(
     tmp_path: Path, start: Start, holder: Callable[[], subprocess.Popen[str]], end: signal.Signals
 ) -> None:
     file = configuration(tmp_path, DEADMAN)
@@ -112,7 +112,7 @@ def test_key_is_released_if_its_holder_is_killed_or_stopped(
     assert (rows["mode"][ticks == slower[0]] == Mode.TRACKING).all()
 
 
-def test_emergency_stop_is_on_the_bus_within_two_ticks(
+def test_emergency_stop_of_the_operator_is_on_the_bus_within_two_periods(
     tmp_path: Path, start: Start, listen: Callable[[Path], Listener]
 ) -> None:
     file = configuration(tmp_path, LASTING)

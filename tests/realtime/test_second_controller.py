@@ -31,7 +31,7 @@ ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ATTACKS)
-def test_second_controller_during_motion_ends_the_run_held(
+def test_second_controller_on_the_bus_during_motion_ends_the_run_with_the_platform_held(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener], kind: str
 ) -> None:
     file = configuration(tmp_path, LASTING)
@@ -52,4 +52,6 @@ def test_second_controller_during_motion_ends_the_run_held(
     assert run.wait() == 1
     assert "SECOND_CONTROLLER" in run.errors
     assert f"heard: {kind.upper()}" in run.errors
-    assert run.summary["plant"]["final_states"] == ["FAULT"] * 6, "stopped at once and latched"
+    assert run.summary["plant"]["final_states"] == ["FAULT"] * 6, (
+        "the drives stopped at once and stay in fault"
+    )

@@ -41,7 +41,7 @@ POSITION = "[...document.querySelector('#pose tbody tr').cells].slice(1, 4).map(
 
 @pytest.mark.long
 @pytest.mark.parametrize("word", ["stop", "park"])
-def test_buttons_hold_and_end_the_motion_of_a_running_platform(
+def test_buttons_of_hil_watch_hold_and_end_the_motion_of_a_running_platform(
     tmp_path: Path, start: Start, word: str
 ) -> None:
     file = configuration(tmp_path, LASTING | {"name: virtual": "name: virtual\nwatch: {operate: true}"})

@@ -87,7 +87,7 @@ def busy() -> Iterator[None]:
 
 @pytest.mark.long
 @pytest.mark.usefixtures("busy")
-def test_run_next_to_a_busy_process_reduces_its_rate(
+def test_run_without_real_time_scheduling_next_to_a_busy_process_reduces_its_rate(
     folder: Path, start: Start, ordinary: dict[str, Any]
 ) -> None:
     changes = {"on_stall: stretch": "on_stall: fault"}
@@ -110,7 +110,7 @@ def test_run_next_to_a_busy_process_reduces_its_rate(
 
 @pytest.mark.long
 @pytest.mark.realtime(patient=True)
-def test_run_is_refused_before_it_starts_if_configured_so(
+def test_run_without_real_time_scheduling_is_refused_at_the_start_if_configured_so(
     folder: Path, start: Start, ordinary: dict[str, Any]
 ) -> None:
     file = configuration(folder, {"without_realtime: slow": "without_realtime: refuse"}, short=True)

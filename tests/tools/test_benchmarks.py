@@ -32,7 +32,7 @@ NAN = float("nan")
         ({"": 1.0}, None, None),
     ],
 )
-def test_a_mark_is_met_if_every_value_is_within_it(values, mark, met):
+def test_benchmark_limit_is_met_only_if_every_measured_value_is_within_it(values, mark, met):
     assert Figure("x", values, "us", mark).met is met
 
 
@@ -42,7 +42,7 @@ REAL_TIME = {"realtime": [pytest.mark.realtime(patient=True)], "two_buses": [pyt
 
 @pytest.mark.long
 @pytest.mark.parametrize("part", [pytest.param(name, marks=REAL_TIME.get(name, [])) for name in PARTS])
-def test_every_part_can_run_briefly_and_yields_its_figures(part, monkeypatch, tmp_path):
+def test_every_part_of_the_benchmark_can_run_for_2_s_and_reports_its_figures(part, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     words = ["--only", part, "--seconds", "2", "--json", "benchmark.json"]
     result = CliRunner().invoke(main, words)
@@ -61,7 +61,7 @@ def test_every_part_can_run_briefly_and_yields_its_figures(part, monkeypatch, tm
 
 
 @pytest.mark.long
-def test_two_versions_are_compared_in_lockstep_and_in_replay(monkeypatch, capsys):
+def test_benchmark_compares_two_checkouts_in_simulation_and_in_replay(monkeypatch, capsys):
     here = str(Path(__file__).parents[2])
     words = ["versions", here, here, "--duration", "2", "--rounds", "1"]
     monkeypatch.setattr(sys, "argv", words)
@@ -72,7 +72,7 @@ def test_two_versions_are_compared_in_lockstep_and_in_replay(monkeypatch, capsys
         assert float(old) / float(new) == pytest.approx(float(ratio), rel=0.02)
 
 
-def test_json_output_does_not_overwrite_another_file(monkeypatch, tmp_path):
+def test_json_output_of_the_benchmark_does_not_overwrite_a_file_of_another_kind(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     Path("notes.txt").write_text("keep me")
     result = CliRunner().invoke(main, ["--only", "tick", "--json", "notes.txt"])

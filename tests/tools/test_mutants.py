@@ -36,17 +36,17 @@ def made(source):
         ("return a, b", {"return (b, a)"}),
     ],
 )
-def test_each_operator_makes_exactly_its_changes(source, changed):
+def test_each_mutation_operator_makes_exactly_the_expected_changes(source, changed):
     assert made(source) == changed
 
 
 @pytest.mark.parametrize("area", AREAS)
-def test_every_area_has_sources_and_tests(area):
+def test_every_area_of_the_mutation_tool_has_sources_and_tests(area):
     assert areas.sources_of(area)
     assert areas.tests_of(area)
 
 
-def test_a_seed_always_draws_the_same_mutants_at_different_places():
+def test_seed_always_draws_the_same_mutants_each_at_a_different_place():
     drawn = [mutant for _, mutant in sampled("salvage", 1, 30)]
     assert drawn == [mutant for _, mutant in sampled("salvage", 1, 30)]
     assert len({(m.file, m.start, m.end) for m in drawn}) == 30

@@ -31,7 +31,7 @@ def met(shifts, name):
 @pytest.mark.parametrize(
     ("first", "crossed"), [(2**16 - 2000, ["16 bit"]), (2**32 - 2000, ["16 bit", "31 bit", "32 bit"])]
 )
-def test_a_shift_crosses_its_wrap_and_replays_exactly(c, folder, first, crossed):
+def test_soak_run_crosses_the_wrap_of_its_tick_counter_and_replays_exactly(c, folder, first, crossed):
     log = folder / "good.mcap"
     found = shift(c, first, SECONDS, log)
     assert (found.first, found.crossed, found.trouble, found.different) == (first, crossed, "", 0)
@@ -40,7 +40,7 @@ def test_a_shift_crosses_its_wrap_and_replays_exactly(c, folder, first, crossed)
     assert min(found.held) > 0
 
 
-def test_a_shift_moves_at_its_wrap_and_replay_from_another_tick_differs(c, folder, monkeypatch):
+def test_soak_run_moves_at_its_counter_wrap_and_replay_from_another_tick_differs(c, folder, monkeypatch):
     log = folder / "kept.mcap"
     monkeypatch.setattr("tools.soak.differences", lambda *_: 1)
     found = shift(c, 2**16 - 2000, SECONDS, log)
@@ -61,6 +61,6 @@ def test_a_shift_moves_at_its_wrap_and_replay_from_another_tick_differs(c, folde
         ({"held": (100.0, 21)}, "open files, second shift to last"),
     ],
 )
-def test_each_mark_detects_its_own_mistake(change, name):
+def test_each_limit_of_the_soak_detects_the_corresponding_mistake(change, name):
     assert met([GOOD] * 3, name) is True
     assert met([GOOD, GOOD, GOOD._replace(**change)], name) is False

@@ -46,7 +46,7 @@ def _at_the_root(monkeypatch):
     monkeypatch.chdir(ROOT)
 
 
-def test_socketcan_survives_failures_made_by_the_kernel(tmp_path):
+def test_socketcan_bus_survives_failures_of_a_virtual_interface_made_by_the_kernel(tmp_path):
     # the modules of the running kernel are not ours to load
     result = tmp_path / "cases.json"
     done = in_kernel_with_vcan("socketcan_cases", result, limit_s=90.0, kernel="uml")
@@ -79,7 +79,7 @@ def ticks_to_safe(rows: np.ndarray, cause: np.ndarray) -> list[int]:
 
 
 @pytest.mark.long
-def test_daemon_is_safe_within_5_ticks_of_a_bus_failure_and_recovers(tmp_path):
+def test_controller_reaches_a_safe_state_within_5_periods_of_a_bus_failure_and_recovers(tmp_path):
     found, summary, log = daemon("recovery", tmp_path)
     assert found == {
         "bus-off": ["BUS"],
@@ -99,7 +99,7 @@ def test_daemon_is_safe_within_5_ticks_of_a_bus_failure_and_recovers(tmp_path):
 
 
 @pytest.mark.long
-def test_error_states_are_counted_and_bus_off_is_safe_within_5_ticks(tmp_path):
+def test_can_error_states_are_counted_and_bus_off_leads_to_a_safe_state_within_5_periods(tmp_path):
     found, summary, log = daemon("states", tmp_path)
     assert set(found["kept"]) == {"TRACKING"}
     assert found["faults"] == [["BUS"]] * 2
@@ -159,7 +159,7 @@ def test_canopen_and_moteus_masters_move_the_drives_on_vcan0(tmp_path):
 
 
 @pytest.mark.long
-def test_run_and_plant_work_together_over_vcan0_at_50_Hz_for_10_s(tmp_path):
+def test_hil_run_and_hil_plant_work_together_over_vcan0_at_50_Hz_for_10_s(tmp_path):
     share = tmp_path / "share"
     share.mkdir()
     compile_outside_the_guest("vcan50", share / "warm.mcap")

@@ -17,6 +17,7 @@ from drivers.frame_array import FRAME, NO_FRAMES, sent_array, sent_frames
 from drivers.frame_pointers import frame_at
 from drivers.legs.crc import check_of
 from drivers.protocol import BUS, EXTENDED, FD, Frame
+from drivers.sensing.calibration import Correction
 from drivers.sensing.family import CHANNELS, SYNC_ID, Device, Message, Wanted
 from drivers.sensing.kernels import encode
 from drivers.sensing.layout import (
@@ -67,6 +68,9 @@ class Sensor(NamedTuple):
     std: tuple[float, ...]
     """Standard deviations (6,) by which its quantities may differ from the legs."""
     time_std_s: float
+    correction: Correction
+    late_s: float
+    """By how much its stated instants are late."""
 
     def on_bus(self, frames: Iterable[Frame]) -> tuple[Frame, ...]:
         """Frames on its bus."""
@@ -273,8 +277,9 @@ def _sensors(role: str, settings: SensorRole, bus: BusSettings, folder: Path) ->
                 "bus.channels without legs and with layout: fd), or a device with classic frames "
                 "(device.protocol ati, cia404, cia406, dbc)"
             )
-        std, time_std_s = settings.std, 1e-3 * settings.time_std_ms
-        yield Sensor(role, slot, index, settings.rate_Hz, device, std, time_std_s)
+        std, time_std_s, of = settings.std, 1e-3 * settings.time_std_ms, settings.calibration
+        late_s = 1e-3 * of.time_offset_ms
+        yield Sensor(role, slot, index, settings.rate_Hz, device, std, time_std_s, of.correction(leg), late_s)
 
 
 def _tables(sensors: Iterable[Sensor]) -> Tables:
@@ -282,11 +287,14 @@ def _tables(sensors: Iterable[Sensor]) -> Tables:
     for each in sensors:
         device, of = each.device, found.slots[each.slot : each.slot + 1]
         of["present"], of["parts"], of["timing"] = 1, (1 << len(device.messages)) - 1, device.timing
-        of["latency_s"], of["gap_ns"], of["raw"] = device.latency_s, round(0.5e9 / each.rate_Hz), np.nan
+        of["latency_s"], of["gap_ns"] = device.latency_s + each.late_s, round(0.5e9 / each.rate_Hz)
         of["limit"], of["time_s"] = SIGMAS * np.array(each.std), SIGMAS * each.time_std_s
         of["patience_s"] = np.inf if device.changes else SILENT_SAMPLES / each.rate_Hz + device.latency_s
-        if device.mix is not None:
-            of["mixes"], of["mix"] = 1, device.mix
+        mix, shift, placed, frame, target, lever = each.correction
+        mix = mix if device.mix is None else mix @ device.mix
+        of["raw"], of["mixes"] = np.nan, shift.any() or (mix != np.eye(len(mix))).any()
+        of["mix"], of["shift"], of["placed"], of["lever"] = mix, shift, placed, lever
+        of["frame"], of["target"] = frame, target
         rows += [_row(each, part, message) for part, message in enumerate(device.messages)]
     return found._replace(rows=np.array(rows, ROW))
 

@@ -196,7 +196,10 @@ class SensorNode(Section):
     outlier_stds: Annotated[float, Field(ge=1)] = 100.0
     """Noise of an outlier, in standard deviations of the others."""
     frame_rotation_deg: Three = _NONE
-    """Rotation vector from the sensor's frame to the platform's; imu and wrench."""
+    """Rotation vector from the sensor's frame to the platform's, imu and wrench; from the base frame to the
+    tracker's, about its origin."""
+    lever_arm_m: Three = _NONE
+    """Place of the sensor, or of the tracker's target, in the platform's frame; tracker, imu and wrench."""
 
     def errors(self, _leg: int) -> Errors:
         """Standard deviation of the noise, bias, and drift per second, of each of six quantities."""
@@ -221,7 +224,9 @@ class TrackerEmulation(SensorNode):
     position_bias_m: Three = _NONE
     """Offset of the tracker's frame from the base frame."""
     rotation_bias_deg: Three = _NONE
-    """Rotation vector from the base frame to the tracker's frame."""
+    """Constant error of the orientation alone, a rotation vector in the tracker's frame."""
+    target_rotation_deg: Three = _NONE
+    """Rotation vector from the target's frame to the platform's."""
     position_drift_m_s: Three = _NONE
     rotation_drift_deg_s: Three = _NONE
 

@@ -33,10 +33,12 @@ from drivers.sensing.layout import (
     SLOT,
     SLOTS,
     STAMPED,
+    SYNCED,
     TRACKER,
     VALIDITY,
     WRENCH,
 )
+from drivers.sensing.rotations import rotation_vector_of, times, turn
 from drivers.signals import LEGS
 
 OLDEST = 127
@@ -193,23 +195,35 @@ def _take(s: Any, row: Any, frame: Any, tick: int, began_ns: int, latched_ns: in
 
 
 @helper
+def _place(of: Any, v: Array) -> None:
+    """Turn a tracker's pose to base and platform frame, and move it from the target to the origin."""
+    R = turn(v[3:], of.target)
+    for k in range(3):
+        R[:, k] = times(of.frame, R[:, k])
+    v[3:] = rotation_vector_of(np.zeros(3), R)
+    v[:3] -= times(R, of.lever)
+
+
+@helper
 def _end(s: Any, of: Any, slot: int, tick: int, offset_s: float, began_ns: int, latched_ns: int) -> bool:
     """Keep a complete sample; False for a rotation of more than half a turn."""
     values = of.raw.copy()
     if of.mixes:
         for i in range(QUANTITIES):
-            values[i] = 0.0
+            values[i] = of.shift[i]
             for j in range(QUANTITIES):
-                values[i] += of.mix[i, j] * of.raw[j]
+                if of.mix[i, j] != 0.0:  # a quantity that a device does not give is NaN
+                    values[i] += of.mix[i, j] * of.raw[j]
     r = values[3:]
     if slot == TRACKER and r[0] * r[0] + r[1] * r[1] + r[2] * r[2] > _HALF_TURN_2:
         return False
-    if of.timing != STAMPED:
-        offset_s = -of.latency_s
-        if of.timing == FREE:
-            offset_s += (of.began_ns - latched_ns) * 1e-9
-        elif of.began_ns < began_ns:
-            tick -= 1
+    if of.placed:
+        _place(of, values)
+    offset_s -= of.latency_s
+    if of.timing == FREE:
+        offset_s += (of.began_ns - latched_ns) * 1e-9
+    elif of.timing == SYNCED and of.began_ns < began_ns:
+        tick -= 1
     _keep(s, of, slot, tick, offset_s, values)
     return True
 

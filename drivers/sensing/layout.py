@@ -47,7 +47,8 @@ the frame is another message (`selects`), else its sample is invalid."""
 SLOT = np.dtype(
     [
         *((name, "<i8") for name in ("present", "parts", "timing", "mixes", "gap_ns")),
-        ("latency_s", "<f8"), ("mix", "<f8", (QUANTITIES, QUANTITIES)),
+        ("latency_s", "<f8"), ("mix", "<f8", (QUANTITIES, QUANTITIES)), ("shift", "<f8", (QUANTITIES,)),
+        ("placed", "<i8"), ("frame", "<f8", (3, 3)), ("target", "<f8", (3, 3)), ("lever", "<f8", (3,)),
         ("limit", "<f8", (QUANTITIES,)), ("time_s", "<f8"), ("patience_s", "<f8"),
         *((name, "<i8") for name in ("got", "valid", "began_ns", "counter", "count", "last_tick")),
         ("last_s", "<f8"), ("raw", "<f8", (QUANTITIES,)), ("last", "<f8", (QUANTITIES,)),
@@ -55,10 +56,11 @@ SLOT = np.dtype(
     ]
 )  # fmt: skip
 """A measurement. Table: bits of all its messages; STAMPED, SYNCED or FREE; longest time between the messages
-of one sample; matrix from fields to values, used if `mixes`; limits of the mean difference from the legs, inf
-for none; error of a sample's instant; age of a silent sensor. Reception: parts of the present sample, whether
-they are valid, its first frame; counter of the last frame; samples of this tick; the last sample;
-samples compared with the legs, the last difference, and the mean one."""
+of one sample; if `mixes`, values = mix fields + shift; if `placed`, the orientation is that of
+frame (sensor) target and the position that of the point -lever of it; limits of the mean difference from the
+legs, inf for none; error of a sample's instant; age of a silent sensor. Reception: parts of the present
+sample, whether they are valid, its first frame; counter of the last frame; samples of this tick; the last
+sample; samples compared with the legs, the last difference, and the mean one."""
 SENSORS = np.dtype([(name, "<i8") for name in ("rows", "size", "slots", "samples", "rejected", "lost")])
 """Addresses of `size` elements of ROW, of SLOTS elements of SLOT and of (SLOTS, MOST) elements of SAMPLE; in
 this tick refused frames, and samples missing by their counters."""

@@ -8,6 +8,14 @@ from pydantic import Field, field_validator
 from drivers.config import Above0, Name, refuse_twice
 from drivers.registry import sections
 from drivers.section import Section
+from drivers.sensing.calibration import (
+    Calibration,
+    ForceCalibration,
+    ImuCalibration,
+    InclinationCalibration,
+    LengthCalibration,
+    TrackerCalibration,
+)
 from drivers.sensing.family import SensorFamily
 from drivers.sensing.stamped import StampedSensors
 
@@ -35,6 +43,8 @@ class SensorRole(Section):
     """Its channel of `bus.channels`; default: the first."""
     device: AnySensor = StampedSensors()
     """The device, by the family that reads its frames: its own keys, and `protocol`."""
+    calibration: Calibration = Calibration()
+    """Errors of the sensor that are taken off its samples."""
 
     @property
     def nodes(self) -> tuple[int, ...]:
@@ -51,6 +61,7 @@ class TrackerSettings(SensorRole):
     """A device that measures the platform's pose from outside: optical, laser, camera."""
 
     node_id: Node = 7
+    calibration: TrackerCalibration = TrackerCalibration()
     rate_Hz: Above0 = 200.0
     """Samples per second, at most one per tick."""
     position_std_m: Above0 = 1e-3
@@ -70,6 +81,7 @@ class ImuSettings(SensorRole):
     """An inertial measurement unit on the platform, its values reduced to the platform origin."""
 
     node_id: Node = 8
+    calibration: ImuCalibration = ImuCalibration()
     rate_Hz: Above0 = 500.0
     """Samples per second, at most one per tick."""
     angular_rate_std_rad_s: Above0 = 2e-3
@@ -93,6 +105,7 @@ class InclinationSettings(SensorRole):
     """An inclinometer on the platform: roll and pitch, with R = Rz(yaw) Ry(pitch) Rx(roll)."""
 
     node_id: Node = 10
+    calibration: InclinationCalibration = InclinationCalibration()
     rate_Hz: Above0 = 100.0
     """Samples per second."""
     std_deg: Above0 = 0.1
@@ -126,6 +139,7 @@ class LegSensorSettings(SensorRole):
 class LengthSensorSettings(LegSensorSettings):
     """A second encoder on each leg."""
 
+    calibration: LengthCalibration = LengthCalibration()
     std_m: Above0 = 1e-4
     """Standard deviation of its error, zero and scale included. Three of these are its limit."""
     on_contradiction: Literal["stop", "warn"] = "stop"
@@ -141,6 +155,7 @@ class LengthSensorSettings(LegSensorSettings):
 class ForceSensorSettings(LegSensorSettings):
     """A load cell on each leg."""
 
+    calibration: ForceCalibration = ForceCalibration()
     std_N: Above0 | None = None
     """Standard deviation of its difference from the force that the drive reports, friction included; without
     one they are not compared."""

@@ -37,7 +37,7 @@ def rerun(file: Path, row: int, out: Path | None, log: Path | None) -> None:
 
 
 class _OrRerun(shared.OrOther):
-    other = rerun
+    others = (rerun,)
 
 
 @click.command(cls=_OrRerun)

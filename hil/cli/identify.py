@@ -1,6 +1,8 @@
-"""`hil identify`: axis models or delay from a run or a log; `hil identify payload`: masses and friction."""
+"""`hil identify`: axis models or delay; `payload`: masses and friction; `sensors`: their calibration."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -30,29 +32,56 @@ def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -
 
     Guide: docs/guides/identify.md.
     """
-    from hil.app.files import beginning, new_file
-    from hil.app.output import show_lines
     from hil.lab.identify import payload_report
     from hil.lab.identify.payload import identify_payload
 
+    _block(payload_report, lambda: identify_payload(list(logs), reflected), out)
+
+
+@click.command("sensors")
+@click.argument("log", metavar="LOG", type=shared.FILE)
+@shared.option("-o --out", shared.OUTPUT, "FILE", "YAML of the block; an earlier one is replaced.")
+@shared.reporting
+def sensors(log: Path, out: Path | None) -> None:
+    """Calibrate the sensors of a log: frame, lever arm, time offset, offset and scale.
+
+    Least squares against the pose by the leg lengths, from any log of some seconds with motion of all six
+    axes. Prints two standard errors, leaves out what this motion does not determine, and prints a block for
+    section `sensors`. Nothing moves.
+
+    \b
+    Examples:
+      hil identify sensors runs/a.mcap -o calibration.yaml
+
+    Guide: docs/guides/sensors.md.
+    """
+    from hil.lab.identify import sensors as of_sensors
+
+    _block(of_sensors, lambda: of_sensors.identify_sensors(log), out)
+
+
+def _block(shown: Any, identify: Callable[[], Any], out: Path | None) -> None:
+    """Identify from logs; show the report and the keys to paste, as module `shown` makes them."""
+    from hil.app.files import beginning, new_file
+    from hil.app.output import show_lines
+
     if out is not None:
-        own = beginning("a file of hil identify payload", payload_report.REMARK.encode())
-        new_file(out, option="-o", own=own)
+        new_file(out, option="-o", own=beginning("a file of hil identify", shown.REMARK.encode()))
     with shared.status("reading the logs, and fitting"):
-        found = identify_payload(list(logs), reflected)
-    show_lines(payload_report.report(found))
-    summary = payload_report.summary(found)
-    block = payload_report.block_text(found)
+        found = identify()
+    show_lines(shown.report(found))
+    summary = shown.summary(found)
+    block = shown.block_text(found)
     click.echo(f"\n{block}" if block else "Nothing to paste")
-    shared.write(summary, out, payload_report.file_text(found))
+    shared.write(summary, out, shown.file_text(found))
     shared.finish_lines((), summary)
 
 
-class _OrPayload(shared.OrOther):
-    other = payload
+class _OrOther(shared.OrOther):
+    others = (payload, sensors)
 
 
-@click.command(cls=_OrPayload)
+@click.command(cls=_OrOther)
 @click.argument("configuration", metavar="CONFIG|LOG", default="virtual", type=shared.FILE)
 @shared.flag("--delay", "Identify only the delay, from the measurement to the force that responds to it.")
 @shared.flag("--run real_time", "In real time: moves real drives. Default is lockstep.")
@@ -77,7 +106,8 @@ def command(
     Results are the linearised axes, with a nominal model and its error bound, as input of `hil design`; with
     --delay only the time from the encoders' sampling to the force that responds to it. With CONFIG, small
     sinusoids move the platform about home, in lockstep, or with --run in real time, which moves real drives
-    by some 50 mm; Ctrl-C stops and parks. Masses, inertia and friction: `hil identify payload LOG...`.
+    by some 50 mm; Ctrl-C stops and parks. Masses, inertia and friction: `hil identify payload LOG...`;
+    sensors: `hil identify sensors LOG`.
 
     \b
     Examples:

@@ -198,16 +198,17 @@ def write_cases(summary: dict[str, Any], junit: Path | None, name: str, cases: I
 
 
 class OrOther(click.Command):
-    """A command that runs the command `other` instead if its first argument is the name of `other`."""
+    """A command that runs one of `others` instead if its first argument is the name of that one."""
 
-    other: click.Command
+    others: tuple[click.Command, ...]
 
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """Context of `other` if the first argument is its name, else of this command."""
-        if args and args[0] == self.other.name:
-            return self.other.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+        """Context of the other command if the first argument is its name, else of this command."""
+        for other in self.others:
+            if args and args[0] == other.name:
+                return other.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
         return super().make_context(info_name, args, parent, **extra)
 
 

@@ -1,6 +1,6 @@
 """Emulated sensors, compiled: reception of SYNC, the pose between two grid points, bias and noise."""
 
-from math import asin, atan2, pi, sin, sqrt
+from math import asin, atan2, pi
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from drivers.sensing.layout import (
     TRACKER,
     WRENCH,
 )
+from drivers.sensing.rotations import rotation_vector_of, times, turn
 from drivers.signals import LEGS
 
 SENSED = np.dtype(
@@ -34,6 +35,8 @@ SENSED = np.dtype(
         *((name, "<i8", (SLOTS,)) for name in ("bus", "heard_ns", "cycle", "turns")),
         *((name, "<f8", (SLOTS, QUANTITIES)) for name in ("bias", "noise", "drift")),
         ("frame", "<f8", (SLOTS, 3, 3)),
+        ("lever", "<f8", (SLOTS, 3)),
+        ("target", "<f8", (3, 3)),
         *((name, "<f8", (QUANTITIES,)) for name in ("drawn", "values")),
         *((name, "<f8", (3,)) for name in ("gravity", "before", "acceleration")),
     ]
@@ -41,34 +44,13 @@ SENSED = np.dtype(
 """Emulated sensors. Addresses of SENSORS, of the wrench (6,) N, N m on the platform, of lengths (6,) m, rates
 (6,) m/s and forces (6,) N of the legs; identifier of SYNC; begin of the drift; instant of the velocity
 `before`. By slot: bus; reception and counter of the last SYNC on it; bias, standard deviation of the noise,
-and drift per second (angles of the tracker in degrees); if `turns`, rotation from the sensor's frame to the
-platform's. Random numbers drawn, measured values; gravity m/s^2, velocity m/s at `before_ns`, acceleration
-m/s^2 of the IMU."""
+and drift per second (angles of the tracker in degrees); rotation to the sensor's frame, used if `turns`;
+place of the sensor on the platform, m; rotation from the tracker's target to the platform. Random
+numbers drawn, measured values; gravity m/s^2, velocity m/s at `before_ns`, acceleration m/s^2 of the IMU."""
 SILENT = 1
 """Status of `measure`: the last SYNC is too long ago for a time stamp relative to it."""
 _LONGEST_STAMP_S = 0.0655
 _sensors_at: Any = record_at(record(SENSORS))
-_SMALL = 1e-4
-"""rad: below it the second term of a series is less than the last bit."""
-
-
-@helper
-def turn(r: Array, R: Array) -> Array:
-    """exp([r]x) R by Rodrigues' formula; r (3,) rad."""
-    angle = sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
-    if angle < _SMALL:
-        a, b = 1.0 - angle * angle / 6.0, 0.5 - angle * angle / 24.0
-    else:
-        half = sin(0.5 * angle) / angle
-        a, b = sin(angle) / angle, 2.0 * half * half
-    found = np.empty((3, 3))
-    for j in range(3):
-        x, y, z = R[0, j], R[1, j], R[2, j]
-        u, v, w = r[1] * z - r[2] * y, r[2] * x - r[0] * z, r[0] * y - r[1] * x
-        found[0, j] = x + a * u + b * (r[1] * w - r[2] * v)
-        found[1, j] = y + a * v + b * (r[2] * u - r[0] * w)
-        found[2, j] = z + a * w + b * (r[0] * v - r[1] * u)
-    return found
 
 
 @helper
@@ -78,30 +60,9 @@ def carried(p: Array, R: Array, twist: Array, dt_s: float) -> tuple[Array, Array
 
 
 @helper
-def rotation_vector_of(r: Array, R: Array) -> Array:
-    """Rotation vector (3,) rad of exp([r]x) R, norm <= pi, from its quaternion, largest component first."""
-    M = turn(r, R)
-    trace = M[0, 0] + M[1, 1] + M[2, 2]
-    q = np.empty(4)
-    i = 0
-    for k in range(1, 3):
-        if M[k, k] > M[i, i]:
-            i = k
-    if trace > M[i, i]:
-        q[3] = 1.0 + trace
-        for k in range(3):
-            a, b = (k + 1) % 3, (k + 2) % 3
-            q[k] = M[b, a] - M[a, b]
-    else:
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[i] = 1.0 - trace + 2.0 * M[i, i]
-        q[j], q[k] = M[j, i] + M[i, j], M[k, i] + M[i, k]
-        q[3] = M[k, j] - M[j, k]
-    if q[3] < 0.0:
-        q *= -1.0
-    sine = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
-    scale = 2.0 / q[3] if sine < _SMALL * _SMALL * q[3] else 2.0 * atan2(sine, q[3]) / sine
-    return scale * q[:3]
+def cross3(u: Array, v: Array) -> Array:
+    """Cross product of two vectors (3,)."""
+    return np.array([u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]])
 
 
 @pointed(record(SENSED), INTEGER)
@@ -117,15 +78,23 @@ def listen(n: Any, frame_address: int) -> int:
 
 
 @helper
-def _on_platform(n: Any, slot: int, turned: Array, twist: Array, grid_ns: int) -> None:
+def velocity_at(lever: Array, R: Array, twist: Array) -> Array:
+    """Velocity (3,) m/s, base frame, of the point `lever` (3,) m of a platform with R and `twist`."""
+    return twist[:3] + cross3(twist[3:], times(R, lever))
+
+
+@helper
+def _on_platform(n: Any, slot: int, R: Array, turned: Array, twist: Array, grid_ns: int) -> None:
     """Fill the values of IMU and wrench sensor, in the sensor's frame."""
-    v = n.values
+    v, lever = n.values, n.lever[slot]
     if slot == IMU:
         if grid_ns > n.before_ns:
-            n.acceleration[:] = (twist[:3] - n.before) / ((grid_ns - n.before_ns) * 1e-9)
+            velocity = velocity_at(lever, R, twist)
+            n.acceleration[:] = (velocity - n.before) / ((grid_ns - n.before_ns) * 1e-9)
         v[:3], v[3:] = twist[3:], n.acceleration - n.gravity
     else:
         v[:] = reals_at(n.wrench, QUANTITIES)
+        v[3:] -= cross3(times(turned, lever), v[:3])
     for k in (0, 3):
         x, y, z = v[k], v[k + 1], v[k + 2]
         for i in range(3):
@@ -146,11 +115,18 @@ def measure(n: Any, slot: int, t_ns: int, grid_ns: int, p: Array, R: Array, twis
         if n.drift[slot, k] != 0.0:
             bias[k] += n.drift[slot, k] * (t_ns - n.start_ns) * 1e-9
     if slot == TRACKER:
+        there = there + times(turned, n.lever[slot])
+        if n.turns[slot]:
+            there = times(n.frame[slot], there)
+            for k in range(3):
+                turned[:, k] = times(n.frame[slot], turned[:, k])
+        for i in range(3):
+            turned[i, :] = times(n.target.T, turned[i, :])
         v[:3] = there + bias[:3] + noise[:3]
         v[3:] = rotation_vector_of((bias[3:] + noise[3:]) * (pi / 180.0), turned)
     else:
         if slot in (IMU, WRENCH):
-            _on_platform(n, slot, turned, twist, grid_ns)
+            _on_platform(n, slot, R, turned, twist, grid_ns)
         elif slot == INCLINATION:
             v[0], v[1] = atan2(turned[2, 1], turned[2, 2]), asin(-turned[2, 0])
         elif slot < FORCE:

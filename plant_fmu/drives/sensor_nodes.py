@@ -19,12 +19,13 @@ from drivers.frame_array import FRAME, sent_frames, timed_array
 from drivers.protocol import Frame
 from drivers.sensing.family import SYNC_ID
 from drivers.sensing.layout import FREE, IMU, LENGTH, STAMPED, unheard
+from drivers.sensing.rotations import turn
 from drivers.sensors import SensorProtocol
 from drivers.tick_columns import SENSORS, Record
 from plant_fmu.config import DriveEmulation, SensorEmulation
 from plant_fmu.drives.drive_rules import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
-from plant_fmu.drives.sensor_kernels import SENSED, SILENT, fill_frame, listen, measure, turn
+from plant_fmu.drives.sensor_kernels import SENSED, SILENT, fill_frame, listen, measure, velocity_at
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Truth
 
@@ -97,6 +98,8 @@ class SensedNodes(Nodes):
             n["noise"][slot], n["bias"][slot], n["drift"][slot] = node.errors(leg)
             frame_rad = np.deg2rad(node.frame_rotation_deg)
             n["turns"][slot], n["frame"][slot] = frame_rad.any(), turn(frame_rad, np.eye(3))
+            n["lever"][slot] = node.lever_arm_m
+        n["target"] = turn(np.deg2rad(self._noise.tracker.target_rotation_deg), np.eye(3))
         self._waiting: list[tuple[int, Rows]] = []
         """Frames to send, each with the instant at which it enters the bus."""
         self._send_ns = NEVER_NS
@@ -177,7 +180,9 @@ class SensedNodes(Nodes):
                 self._send(int(frame["t_ns"][0]), frame)
         self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)
         if self._note_ns <= t_ns and truth is not None:
-            self._sensed["before_ns"], self._sensed["before"] = grid_ns, truth.twist[:3]
+            lever = self._sensed["lever"][IMU]
+            self._sensed["before_ns"] = grid_ns
+            self._sensed["before"] = velocity_at(lever, truth.R, truth.twist)
             self._note_ns = NEVER_NS
         self._sense_ns = min(self._note_ns, *self._due_ns.values())
 

@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
-    "drivers": (10_900, 81_425),
+    "drivers": (11_130, 83_525),
     "plant_fmu": (9_795, 71_295),
     "hil/loop hil/operate": (6_770, 52_250),
     "hil/safety hil/estimation": (3_420, 28_750),
@@ -16,14 +16,14 @@ BUDGETS = {
     "hil/record": (4_730, 37_300),
     "hil/config hil/app/configuration": (3_940, 25_770),
     "hil/design hil/proof": (6_150, 56_700),
-    "hil/lab": (8_010, 67_800),
+    "hil/lab": (8_425, 71_900),
     "hil/study": (8_060, 65_310),
     "hil/app": (11_220, 82_750),
-    "hil/cli": (2_370, 12_200),
+    "hil/cli": (2_400, 12_300),
     "hil/contracts": (1_720, 14_900),
     "tools": (2_706, 21_550),
     "configs": (210, 1_900),
-    "tests": (74_810, 666_225),
+    "tests": (74_995, 668_025),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

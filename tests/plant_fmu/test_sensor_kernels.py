@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plant_fmu.drives.sensor_kernels import carried, rotation_vector_of
+from drivers.sensing.rotations import rotation_vector_of
+from plant_fmu.drives.sensor_kernels import carried
 
 ANGLES = [0.0, 1e-12, 1e-9, 9.9e-5, 1.01e-4, 1e-2, 1.0, 2.0, 3.0, np.pi - 1e-6]
 

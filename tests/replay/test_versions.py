@@ -140,7 +140,8 @@ def test_edited_metadata_is_an_error_message_without_a_traceback(tmp_path, old, 
 )
 def test_log_of_another_kind_or_with_invalid_rate_or_watchdog_is_refused(monkeypatch, run, said):
     given = {"kind": "run", "rate_Hz": "1000", "watchdog_s": "0.01"} | run
-    log = SimpleNamespace(columns=RECORDED, metadata={"hil": given}, configuration=load("virtual").text)
+    text = load("virtual").text
+    log = SimpleNamespace(columns=RECORDED, metadata={"hil": given}, configuration=text, attachments={})
     monkeypatch.setattr(Log, "open", lambda _: log)
     if not said:
         assert {key: open_run(Path("a.mcap"))[1][key] for key in run} == {k: float(v) for k, v in run.items()}

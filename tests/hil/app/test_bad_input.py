@@ -73,7 +73,10 @@ CONFIGURATION = [
     "bringup X --rehearse --yes", "watch X", "homing X", "ctl X status", "setpoint X --position 0 0 1",
     "identify X", "campaign X", "design hinf X", "learn X --runs 2 -o n.csv", "calibrate X poses.csv",
 ]  # fmt: skip
-LOG = ["replay X", "report X", "plot X", "export X a.csv", "view X", "identify payload X", "learn X -o n.csv"]
+LOG = [
+    "replay X", "report X", "plot X", "export X a.csv", "view X", "identify payload X", "identify sensors X",
+    "learn X -o n.csv",
+]  # fmt: skip
 OTHER = [("bad.csv", "sim virtual --commands X"), ("bad.csv", "calibrate lab X"), ("bad.yaml", "schema X")]
 BAD = {
     "missing": None,

@@ -105,6 +105,7 @@ OUTPUTS = {
     "campaign payload --page X": "a.html",
     "design hinf hinf -o X": "a.yaml",
     "identify payload LOG -o X": "a.yaml",
+    "identify sensors LOG -o X": "a.yaml",
     "calibrate lab poses.csv --out X": "a.yaml",
     "learn LOG -o X": "a.csv",
     "identify virtual -o X": "a.yaml",

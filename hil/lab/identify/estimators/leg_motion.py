@@ -53,6 +53,8 @@ class PlatformMotion(NamedTuple):
     """(n, 6) m/s, rad/s, base frame."""
     dtwist: Array
     """(n, 6)."""
+    q: Array
+    """(n, 6) m."""
     dq: Array
     """(n, 6) m/s."""
     ddq: Array
@@ -75,9 +77,9 @@ class Bell(NamedTuple):
     second: Array
 
 
-def half_ticks(period_s: float) -> int:
+def half_ticks(period_s: float, smoothing_s: float = SMOOTHING_S) -> int:
     """Half length, in ticks, of the window that smooths the leg lengths."""
-    return max(FEWEST_TICKS, round(SMOOTHING_S / period_s))
+    return max(FEWEST_TICKS, round(smoothing_s / period_s))
 
 
 def bell(half: int, period_s: float) -> Bell:
@@ -122,12 +124,14 @@ def all_under(half: int, good: Flags) -> Flags:
     return inside
 
 
-def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
+def platform_motion(
+    platform: Platform, signals: LegSignals, smoothing_s: float = SMOOTHING_S
+) -> PlatformMotion:
     """Pose, twist and acceleration of the platform at each tick from smoothed lengths; forces filtered alike.
 
     Forward kinematics starts at the logged poses; a tick at which it does not converge is not good.
     """
-    b = bell(half_ticks(signals.period_s), signals.period_s)
+    b = bell(half_ticks(signals.period_s, smoothing_s), signals.period_s)
     good = all_under(b.half, signals.good)
     length = np.where(signals.good[:, None], signals.length, 0.0)
     q, dq, ddq = (smooth(w, length) for w in (b.value, b.first, b.second))
@@ -143,7 +147,7 @@ def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
     twist, dtwist, J = np.zeros_like(q), np.zeros_like(q), np.tile(np.eye(6), (len(q), 1, 1))
     if good.any():
         twist[good], dtwist[good], J[good] = leg_to_platform(platform, p[good], R[good], dq[good], ddq[good])
-    return PlatformMotion(R, p, J, twist, dtwist, dq, ddq, force, dforce, good)
+    return PlatformMotion(R, p, J, twist, dtwist, q, dq, ddq, force, dforce, good)
 
 
 def leg_to_platform(

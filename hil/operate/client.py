@@ -109,7 +109,7 @@ class OperatorClient:
         return self.say("stop")
 
     def park(self) -> Answer:
-        """Return to the first pose of the reference at set-up speed, shut the brakes, park."""
+        """Return to the reference's first pose at set-up speed, close the brakes; ends in mode PARKED."""
         return self.say("park")
 
     def reset(self) -> Answer:

@@ -40,7 +40,7 @@ def logs_in(folder: Path) -> list[Path]:
         raise LogError(f"--suite {folder}: no such folder")
     found = sorted(path for path in folder.rglob("*.mcap") if path.is_file())
     if not found:
-        raise LogError(f"--suite {folder}: has no file *.mcap, also in its subfolders")
+        raise LogError(f"--suite {folder}: has no file *.mcap, not even in its subfolders")
     return found
 
 

@@ -247,7 +247,7 @@ class _Reader:
             )
         if first.variability == "constant" or not settable:
             raise PlantError(
-                f"{self.path}: parameters: {name!r} is a {first.causality}; only parameters can be set"
+                f"{self.path}: parameters: {name!r}: causality {first.causality}; only parameters can be set"
             )
         total = sum(math.prod(v.shape or ()) for v in found)
         if total != len(values):

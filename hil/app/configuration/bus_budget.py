@@ -152,7 +152,7 @@ def _remedy(without: BusBudget, alone: BusBudget) -> str:
 
 
 def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
-    """One example of every heartbeat frame that occurs in every tick, as the six drives take turns.
+    """One example of each heartbeat frame of a tick in which some drive sends one: the six drives take turns.
 
     Rarer heartbeats use the free part of the bus, as does the set-up of the drives: see `set_up_ns`.
     """

@@ -139,7 +139,7 @@ class Subject:
         return self.robots[-1]
 
     def alone(self) -> list[Self]:
-        """One copy of this object for each robot, that is for each payload."""
+        """Copies of this object with one payload each."""
         found = []
         for robot, carried in zip(self.robots, self.carried, strict=True):
             one = copy(self)
@@ -285,7 +285,7 @@ class Subject:
     def _bound(
         self, end: Linearised, found: Local, loops: list[Sampled], late: DelayEffect, d: float, alpha: float
     ) -> Ultimate | str:
-        """Error bound with the contributions of drives and safety, or the reason why there is no bound."""
+        """Error bound that counts drives' errors and probe pushes, or the reason why there is none."""
         of_legs = there_and_back = np.eye(6)
         if end.axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]

@@ -68,7 +68,7 @@ def belief_of(c: Configuration, axes: Path | None, gain_error: float, delay_erro
     model, _ = read_section(axes, AxisModel)
     if model.axes != "joint" or model.rate_Hz != c.loop.rate_Hz:
         raise ConfigurationError(
-            f"{axes}: {model.axes} axes at {model.rate_Hz:g} Hz, allowed: joint axes at {c.loop.rate_Hz:g} Hz"
+            f"{axes}: {model.axes} axes, {model.rate_Hz:g} Hz, allowed: joint axes at {c.loop.rate_Hz:g} Hz"
         )
     nominal, profile = model.nominal, model.uncertainty
     bound = Uncertainty(np.array(profile.frequency_Hz), np.array(profile.bound))

@@ -41,7 +41,7 @@ DRIFT_Hz = 5e-4
 
 
 class _Directions(NamedTuple):
-    """Effects of 1 m or 1 rad (or per s, per s^2) along each axis at a pose; columns are axes."""
+    """Leg forces, leg rates and pose changes for a unit motion of each axis at a pose."""
 
     forces: Array
     """(6, 6) N, leg forces for 1 m/s^2 or 1 rad/s^2 of each axis."""

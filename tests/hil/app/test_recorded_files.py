@@ -69,7 +69,10 @@ def test_sensor_dbc_is_stored_in_the_log_and_replay_reads_only_that_copy(tmp_pat
     found, expected = build_sensors(with_attachments(gone, files, tmp_path)), build_sensors(c)
     assert found is not None
     assert expected is not None
-    assert found.sensors == expected.sensors
+    assert [each.device for each in found.sensors.values()] == [
+        each.device for each in expected.sensors.values()
+    ]
+    assert found.tables.rows.tobytes() == expected.tables.rows.tobytes()
     with pytest.raises(LogError, match=r"a file in sensors\.inclination\.device\.file"):
         with_attachments(gone, {}, tmp_path)
 

@@ -51,7 +51,7 @@ def test_second_controller_on_the_bus_during_motion_ends_the_run_with_the_platfo
     assert sent
     assert run.wait() == 1
     assert "SECOND_CONTROLLER" in run.errors
-    assert f"heard: {kind.upper()}" in run.errors
+    assert f"frames received from it: {kind.upper()}" in run.errors
     assert run.summary["plant"]["final_states"] == ["FAULT"] * 6, (
         "the drives stopped at once and stay in fault"
     )

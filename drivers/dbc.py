@@ -236,7 +236,7 @@ class DbcProtocol(MotorProtocol):
         most = float(np.abs(ends * row["scale"][k] + row["offset"][k]).max())
         force = t.N_per_Nm * self.torque_field[2]
         length, rate = (t.rate(np.full(LEGS, step[role])) for role in (POSITION, VELOCITY))
-        told: Any = "feedback" if "enabled" in self._given else "never"
+        power_told: Any = "feedback" if "enabled" in self._given else "never"
         answers = tuple(Frame(each, self.blank(ANSWER), self.flags) for each in self.wanted)
         return self.traits_of(
             answers,
@@ -247,7 +247,7 @@ class DbcProtocol(MotorProtocol):
             resolution=Resolution.of(length, rate, force),
             reported_lengths=None if row["kind"][k] == FLOAT else t.lengths_within(most),
             has_watchdog=False,
-            power_told=told,
+            power_told=power_told,
             dangers=(NO_BRAKE, unwatched("dbc")),
         )
 

@@ -141,7 +141,7 @@ def refers(drives: DriveSettings) -> bool:
 def with_dbc(drives: DriveSettings, folder: Path | None, files: Mapping[str, bytes]) -> DriveSettings:
     """Drives with the text of the DBC that their option refers to.
 
-    It comes from `folder`, without one from the files of a log; unchanged if there is none.
+    The text comes from `folder`, or without a folder from the files of a log. Without a DBC: unchanged.
     """
     if not refers(drives):
         return drives

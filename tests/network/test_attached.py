@@ -1,4 +1,4 @@
-"""CAN FMUs on localcan in real time, next to a participant that is no FMU."""
+"""CAN FMUs on localcan in real time, with another participant that is not an FMU."""
 
 import threading
 import time

@@ -285,7 +285,7 @@ class Subject:
     def _bound(
         self, end: Linearised, found: Local, loops: list[Sampled], late: DelayEffect, d: float, alpha: float
     ) -> Ultimate | str:
-        """Error bound that counts drives' errors and probe pushes, or the reason why there is none."""
+        """Error bound of the axes, with drives' errors and probe pushes; else why there is no bound."""
         of_legs = there_and_back = np.eye(6)
         if end.axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]

@@ -52,7 +52,7 @@ SLOT = np.dtype(
         ("limit", "<f8", (QUANTITIES,)), ("time_s", "<f8"), ("patience_s", "<f8"),
         *((name, "<i8") for name in ("got", "valid", "began_ns", "counter", "count", "last_tick")),
         ("last_s", "<f8"), ("raw", "<f8", (QUANTITIES,)), ("last", "<f8", (QUANTITIES,)),
-        ("compared", "<i8"), ("gap", "<f8", (QUANTITIES,)), ("mean", "<f8", (QUANTITIES,)),
+        ("compared", "<i8"), ("share", "<f8"), ("gap", "<f8", (QUANTITIES,)), ("mean", "<f8", (QUANTITIES,)),
     ]
 )  # fmt: skip
 """A measurement. Table: bits of all its messages; STAMPED, SYNCED or FREE; longest time between the messages
@@ -60,7 +60,7 @@ of one sample; if `mixes`, values = mix fields + shift; if `placed`, the orienta
 frame (sensor) target and the position that of the point -lever of it; limits of the mean difference from the
 legs, inf for none; error of a sample's instant; age of a silent sensor. Reception: parts of the present
 sample, whether they are valid, its first frame; counter of the last frame; samples of this tick; the last
-sample; samples compared with the legs, the last difference, and the mean one."""
+sample; samples compared with the legs, share of the limit, the last difference, and the mean one."""
 SENSORS = np.dtype([(name, "<i8") for name in ("rows", "size", "slots", "samples", "rejected", "lost")])
 """Addresses of `size` elements of ROW, of SLOTS elements of SLOT and of (SLOTS, MOST) elements of SAMPLE; in
 this tick refused frames, and samples missing by their counters."""

@@ -98,32 +98,30 @@ def compare(k: Any, sensors: Any, mode: int, fusing: int, tick: Any) -> int:
     Returns Warn.SENSOR if a sensor differs by more than its limit, or is silent while the drives are powered.
     """
     slots, apart = slots_at(sensors.slots, SLOTS), False
+    gap, rate = np.empty(QUANTITIES), np.empty(QUANTITIES)
     for slot in range(SLOTS):
         of = slots[slot]
         if of.present == 0 or (fusing and slot in (TRACKER, IMU)):
             continue
         age_s = age_of(of, tick.tick, k.period_s)
-        gap, rate = np.zeros(QUANTITIES), np.zeros(QUANTITIES)
+        gap[:] = 0.0
+        rate[:] = 0.0
         if of.count > 0 and difference(tick, slot, of.last, age_s, gap, rate):
             of.compared += 1
+            of.share = nan
             for j in range(QUANTITIES):
                 if of.compared == 1:
                     of.gap[j] = of.mean[j] = gap[j]
                 now, was = gap[j], of.gap[j]
                 of.gap[j], gap[j] = now, now if abs(now - of.mean[j]) < abs(was - of.mean[j]) else was
                 of.mean[j] += (gap[j] - of.mean[j]) / min(of.compared, SAMPLES)
+                if not isinf(of.limit[j]):
+                    share = abs(of.mean[j]) / (of.limit[j] + of.time_s * abs(rate[j]))
+                    of.share = share if isnan(of.share) else max(of.share, share)
             if LENGTH <= slot < FORCE:
                 tick.length_gap_now[slot - LENGTH] = gap[0]
-        share = nan
-        for j in range(QUANTITIES):
-            if not isinf(of.limit[j]):
-                share = max(
-                    0.0 if isnan(share) else share,
-                    share,
-                    abs(of.mean[j]) / (of.limit[j] + of.time_s * abs(rate[j])),
-                )
         if of.compared >= FEWEST:
-            tick.sensor_share[slot] = share
+            tick.sensor_share[slot] = of.share
             if slot == TRACKER and age_s <= of.patience_s:
                 tick.tracker_gap[:] = of.mean
             elif LENGTH <= slot < FORCE:

@@ -11,7 +11,7 @@ BUDGETS = {
     "drivers": (11_130, 83_525),
     "plant_fmu": (9_795, 71_295),
     "hil/loop hil/operate": (6_770, 52_250),
-    "hil/safety hil/estimation": (3_420, 28_750),
+    "hil/safety hil/estimation": (3_420, 28_800),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
     "hil/record": (4_730, 37_300),
     "hil/config hil/app/configuration": (3_940, 25_770),

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 
 from drivers.registry import sections
 from drivers.section import PerLeg, Section, of_leg
+from plant_fmu.drive_fmus import DriveFmus, Unit
 from plant_fmu.faults import AnyFault
 
 if TYPE_CHECKING:
@@ -32,6 +33,10 @@ Bandwidth = Annotated[float, Field(ge=0), AfterValidator(_possible_bandwidth)]
 
 class DriveEmulation(Section):
     """Settings of the six emulated drives: encoder steps, force lag, brake times, heartbeat."""
+
+    fmu: DriveFmus | None = None
+    """CAN FMUs in place of the emulated drives. The other keys are then figures of these drives, for
+    `hil check`: they change nothing in the simulation."""
 
     encoder_resolution_m: Annotated[float, Field(ge=0)] = 1e-6
     """Step of the measured leg length; 0: exact."""
@@ -125,7 +130,7 @@ class FmuPlant(PlantModel):
     leg order. Not 0 for an FMU that counts from elsewhere, such as the stroke of a prismatic joint."""
     parameters: dict[str, float | int | bool | str | list[float]] = {}
     """Start values of FMU parameters, set before initialisation."""
-    assume_unit: dict[str, Literal["N", "N.m", "m", "m/s"]] = {}
+    assume_unit: dict[str, Unit] = {}
     """Units of variables whose description declares no unit. Keys: the name of a variable, or force, length,
     rate or wrench for all variables of that key. A declared unit is never overruled."""
     allow_execution_tool: bool = False

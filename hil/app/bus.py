@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from hil.app.files import new_file
 from plant_fmu.network.attached import Attached
 from plant_fmu.network.node import Node
 from plant_fmu.network.shared_bus import SharedBus
-from plant_fmu.network.station import Station, bit_rates
+from plant_fmu.network.station import Station, bit_rates, exchange
 from plant_fmu.network.terminal import read_can_fmu
 
 
@@ -98,7 +98,7 @@ def run_attached(
     """
     with ExitStack() as opened:
         stations = [Station(node) for node in open_nodes(fmus, opened)]
-        first = [station.exchange() for station in stations]
+        first = [exchange(stations, index) for index in range(len(stations))]
         rates = bit_rates(stations, timing)
         links: list[Link] = []
         for _ in stations:
@@ -113,13 +113,15 @@ def run_attached(
         attached = Attached(stations, links, 1000 * step_us)
         for index, operations in enumerate(first):
             attached.accept(index, operations)
-        attached.run(round(duration_s * 1e9))
+        begun = time.monotonic()
+        with suppress(KeyboardInterrupt):
+            attached.run(round(duration_s * 1e9))
         return {
             "success": True,
             "kind": "bus",
             "interface": interface,
             "channel": channel,
-            "duration_s": duration_s,
+            "duration_s": min(duration_s, time.monotonic() - begun),
             "frames": attached.frames,
             "unsent": attached.unsent,
             "arbitration_lost": attached.lost,

@@ -257,13 +257,9 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
     c = configuration
     assert c.plant is not None
     p, R = pose_arrays(start_pose(c))
-    robot = Robot(
-        platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin},
-        length_min=np.full(6, c.platform.length_min_m),
-        length_max=np.full(6, c.platform.length_max_m),
-        p0=p,
-        R0=R,
-    )
+    shape = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
+    ends = np.full(6, c.platform.length_min_m), np.full(6, c.platform.length_max_m)
+    robot = Robot(shape, *ends, p, R)
     plant = c.plant.model.open(robot, c.folder or Path())
     try:
         if not isinstance(c.plant.model, BenchPlant):
@@ -272,6 +268,11 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         require_bus([*c.plant.faults, *more], c.bus, c.drives)
         plan = FaultPlan([*c.plant.faults, *more], seed, c.platform.gravity_m_s2)
         drives = (plant, build_protocol(c), c.plant.drives, c.drives, plan)
+        if c.plant.drives.fmu is not None:
+            from plant_fmu.network.drives import FmuNodes
+
+            nodes = FmuNodes(*drives, c.folder or Path(), c.bus)
+            return nodes, nodes.plant
         sensors = build_sensors(c)
         if sensors is None:
             return Nodes(*drives), plant

@@ -7,7 +7,7 @@ a h^2/8 in length and a h/2 in rate (10 m/s^2 and 100 us: 13 nm and 0.5 mm/s). `
 between two events, and once per grid point while forces lag or a drive controls from its encoder.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -117,6 +117,10 @@ class Nodes:
             received = received_array(self._gateway.hear(received_frames(received), t_ns))
         out = self.go_on(received, live(self._record, received, t_ns, False))
         return out if self._gateway is None else timed_array(self._gateway.send(received_frames(out)))
+
+    def answer(self, t_ns: int, received: Rows, _awaited: Iterable[int], _deadline_ns: int) -> Rows:
+        """`advance`: emulated drives answer a SYNC or poll at once."""
+        return self.advance(t_ns, received)
 
     @property
     def address(self) -> int:

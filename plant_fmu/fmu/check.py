@@ -7,7 +7,7 @@ import io
 import math
 import re
 import zipfile
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -130,10 +130,12 @@ def stated_unit(variable: Any) -> str | None:
     return variable.unit or of_type or None
 
 
-class _Reader:
-    def __init__(self, description: Any, spec: FmuSpec) -> None:
-        self.path = spec.path
-        self.assume_unit = spec.assume_unit
+class Reader:
+    """Finds and checks variables of an FMU. Mutable state: the units that were assumed."""
+
+    def __init__(self, description: Any, path: str, assume_unit: Mapping[str, str]) -> None:
+        """assume_unit: unit of a variable or key whose description declares none."""
+        self.path, self.assume_unit = path, assume_unit
         self.assumed: dict[str, str] = {}
         self.major = major(description)
         self.units = {u.name: u for u in description.unitDefinitions}
@@ -161,7 +163,7 @@ class _Reader:
             f"0 to {MAX_REFERENCE} are allowed"
         )
 
-    def check_unit(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
+    def _check_unit(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
         name = stated_unit(variable)
         if name is None:
             self._assume(key, variable, allowed)
@@ -189,7 +191,7 @@ class _Reader:
             raise PlantError(
                 f"{self.path}: variable {variable.name!r} declares no unit; {' or '.join(allowed)} is "
                 "needed: hil drives no force or length in an unknown unit. Export it with units; if you know "
-                f"that it is in {allowed[0]}, write plant.model.assume_unit: {{{key}: {allowed[0]}}}"
+                f"that it is in {allowed[0]}, write assume_unit: {{{key}: {allowed[0]}}} next to its path"
             )
         if assumed not in allowed:
             raise PlantError(
@@ -222,7 +224,7 @@ class _Reader:
                     f"Real (FMI 2) or Float64 (FMI 3) is needed{also}"
                 )
             if units:
-                self.check_unit(key, variable, units)
+                self._check_unit(key, variable, units)
         total = sum(math.prod(v.shape or ()) for v in found)
         if total != count:
             raise PlantError(
@@ -362,7 +364,7 @@ def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
     description = described(path)
     binary = library(description, members, path)
     _refuse_tool(description, spec)
-    reader = _Reader(description, spec)
+    reader = Reader(description, spec.path, spec.assume_unit)
     inputs = {"force": reader.channel("force", spec.force, "input", ("N",))}
     if spec.wrench:
         inputs["wrench"] = reader.channel("wrench", spec.wrench, "input", ("N", "N.m"))

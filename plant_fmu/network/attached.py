@@ -4,17 +4,19 @@ Arbitration, bit time and errors are those of the interface. The FMUs are steppe
 and a countdown between two steps is met at its own time. A late step is made up for: no step is left out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from drivers.can.arbitration import priority
 from drivers.can.link import OWN, Link
 from drivers.errors import BusError
 from drivers.frame_array import sent_array, unpack_frames
 from drivers.protocol import ERROR, FD, Frame
 from plant_fmu.network import operations as op
 from plant_fmu.network.operations import Code, Operation
-from plant_fmu.network.station import Station
+from plant_fmu.network.station import Station, exchange
 
 _BINS_US = 100_000
 """Lateness is counted in bins of 1 us up to this; the last bin has all beyond."""
@@ -33,13 +35,13 @@ class Attached:
         self._pending: list[list[Frame]] = [[] for _ in self.stations]
         self._late = np.zeros(_BINS_US + 1, np.int64)
 
-    def run(self, until_ns: int, stop: Callable[[], bool] = lambda: False) -> None:
-        """Run from time 0 to `until_ns`, ns, or until `stop` is true. Raises PlantError, BusError."""
+    def run(self, until_ns: int) -> None:
+        """Run from time 0 to `until_ns`, ns. Raises PlantError, BusError."""
         clock = self._links[0].clock
         begin_ns, now = clock.now(), 0
         while True:
             self._exchange(now)
-            if now >= until_ns or stop():
+            if now >= until_ns:
                 return
             dues = [due for s in self.stations if (due := s.node.next_ns()) is not None]
             now = min(
@@ -61,17 +63,12 @@ class Attached:
         for index, station in enumerate(self.stations):
             self._receive(index)
             station.node.advance(now_ns)
-            self.accept(index, station.exchange())
+            self.accept(index, exchange(self.stations, index))
 
     def accept(self, index: int, operations: Sequence[Operation]) -> None:
-        """Send the frames of `operations`, from station `index`; a Wakeup goes to the other stations."""
+        """Send the frames of Transmit operations, from station `index`."""
         for operation in operations:
-            if operation.code is Code.WAKEUP:
-                for other, station in enumerate(self.stations):
-                    if other != index:
-                        station.inbox.append(operation)
-            else:
-                self._send(index, op.to_frame(operation))
+            self._send(index, op.to_frame(operation))
 
     def _send(self, index: int, frame: Frame) -> None:
         link = self._links[index]
@@ -111,12 +108,13 @@ class Attached:
 
     def _discard(self, index: int) -> None:
         """Take back the frames that have not started, as another node's frame was first."""
-        pending, link = self._pending[index], self._links[index]
-        withdrawn = int(getattr(link, "flush_tx", int)() or 0)
-        for frame in pending[len(pending) - withdrawn :]:
+        withdrawn: Any = self._links[index].flush_tx()  # localcan: a number
+        pending = sorted(self._pending[index], key=lambda frame: priority(frame.id, frame.flags))
+        stays = len(pending) - withdrawn  # only the first of these can have started
+        for frame in pending[stays:]:
             self.lost += 1
             self.stations[index].inbox.append(Operation(Code.ARBITRATION_LOST, (frame.id,)))
-        del pending[len(pending) - withdrawn :]
+        self._pending[index] = pending[:stays]
 
 
 def _same(sent: Frame, heard: Frame) -> bool:

@@ -8,13 +8,17 @@ import ctypes as ct
 import os
 import sys
 import tempfile
+from collections import deque
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from fmpy.simulation import instantiate_fmu
 
 from drivers.errors import PlantError
 from plant_fmu.fmu.archive import extract, open_archive
+from plant_fmu.fmu.check import Start, shown
 from plant_fmu.network.terminal import CanFmu
 
 _ROUNDS = 1000
@@ -24,6 +28,17 @@ _CHANGED = 2
 """fmi3IntervalChanged."""
 
 
+class Signals:
+    """Variables of one type and their values, in memory for calls. Mutable state: `values`."""
+
+    def __init__(self, references: Sequence[int], count: int, kind: str = "Float64") -> None:
+        """kind: Float64 or Boolean; count: number of values, more than references if there are arrays."""
+        self.values = np.zeros(count, bool if kind == "Boolean" else float)
+        number: Any = ct.c_bool if kind == "Boolean" else ct.c_double
+        at = (ct.c_uint32 * len(references))(*references), (number * count).from_buffer(self.values)
+        self.kind, self.arguments = kind, (at[0], len(references), at[1], count)
+
+
 class Node:
     """One CAN FMU with its bus terminal.
 
@@ -31,15 +46,25 @@ class Node:
     `due_ns`, the time of its next countdown, None without one; whether its last step wants an event.
     """
 
-    def __init__(self, fmu: CanFmu, name: str, *, notifications: bool = True) -> None:
+    def __init__(
+        self,
+        fmu: CanFmu,
+        name: str,
+        *,
+        notifications: bool = True,
+        starts: Sequence[Start] = (),
+        inputs: Sequence[Signals] = (),
+    ) -> None:
         """Unpack, load and initialise the FMU at time 0; it is then in event mode.
 
-        notifications: set its parameter BusNotifications, if it has one. Raises PlantError.
+        notifications: set its parameter BusNotifications, if it has one. starts: parameters to set. inputs:
+        their values at time 0. Raises PlantError.
         """
         self.name, self.fmu, self.terminal = name, fmu, fmu.terminal
         self.reached_ns, self.due_ns, self._wants_event = 0, None, True
         self._slave: Any = None
         self._in_event_mode = True
+        self._messages: deque[str] = deque(maxlen=5)
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         terminal = self.terminal
         self._references = {
@@ -55,14 +80,14 @@ class Node:
         try:
             with open_archive(fmu.path) as archive:
                 extract(archive, fmu.path, Path(self._folder.name))
-            self._load(notifications)
+            self._load(notifications, starts, inputs)
         except BaseException:
             self.close()
             raise
 
     due_ns: int | None
 
-    def _load(self, notifications: bool) -> None:
+    def _load(self, notifications: bool, starts: Sequence[Start], inputs: Sequence[Signals]) -> None:
         here = Path.cwd()
         try:
             with contextlib.redirect_stdout(sys.stderr):  # fmpy prints messages that it cannot format
@@ -70,7 +95,7 @@ class Node:
                     self._folder.name,
                     self.fmu.description,
                     "CoSimulation",
-                    logger=lambda *_: None,
+                    logger=lambda *given: self._messages.append((given[-1] or b"").decode(errors="replace")),
                     library_path=str(Path(self._folder.name) / self.fmu.library),
                     event_mode_used=True,
                     early_return_allowed=True,
@@ -83,16 +108,31 @@ class Node:
                 slave.setBoolean([switch], [True])
                 if self.terminal.structural:
                     slave.exitConfigurationMode()
+            for start in starts:
+                getattr(slave, f"set{start.setter}")(list(start.references), list(start.values))
             slave.enterInitializationMode(startTime=0.0)
+            for each in inputs:
+                self.put(each)
             slave.exitInitializationMode()
+        except PlantError:
+            raise
         except Exception as error:  # fmpy raises many types
-            raise PlantError(f"{self.fmu.path}: the CAN FMU cannot be started: {error}") from error
+            raise self._error(f"the CAN FMU cannot be started: {error}") from error
         finally:
             os.chdir(here)  # fmpy stays in the library's folder when loading fails
 
     def next_ns(self) -> int | None:
         """Next time, ns, at which it has to be stepped for its own sake; None if it only reacts."""
-        return self.reached_ns if self._wants_event else self.due_ns
+        due_ns, step_ns = self.reached_ns if self._wants_event else self.due_ns, self.fmu.step_ns
+        return due_ns if due_ns is None or not step_ns else -(-due_ns // step_ns) * step_ns
+
+    def put(self, signals: Signals) -> None:
+        """Set input variables to `signals.values`. Raises PlantError."""
+        self._call(f"fmi3Set{signals.kind}", *signals.arguments)
+
+    def get(self, signals: Signals) -> None:
+        """Fill `signals.values` from output variables. Raises PlantError."""
+        self._call(f"fmi3Get{signals.kind}", *signals.arguments)
 
     def advance(self, to_ns: int) -> None:
         """Step to `to_ns`; an FMU of fixed step takes its last whole step before. Raises PlantError."""
@@ -108,8 +148,10 @@ class Node:
             event, ended, early, *_ = self._flags
             last_s = self._reals[0]
             if ended:
-                raise PlantError(f"{self.fmu.path}: the FMU ended the simulation at {last_s:.9g} s")
-            self.reached_ns = round(last_s * 1e9) if early else begin_ns + size_ns
+                raise self._error(f"the FMU ended the simulation at {last_s:.9g} s")
+            if early and not -1.0 < 1e9 * last_s - begin_ns < size_ns + 1.0:
+                raise self._error(f"its step from {begin_ns} ns by {size_ns} ns returned early at {last_s} s")
+            self.reached_ns = max(begin_ns, round(1e9 * last_s)) if early else begin_ns + size_ns
             if self.reached_ns >= to_ns:
                 self._wants_event = bool(event)
                 return
@@ -117,7 +159,7 @@ class Node:
                 self._event_mode()
                 self._update()
                 self._step_mode()
-        raise PlantError(f"{self.fmu.path}: the FMU returns early from each step at {self.reached_ns} ns")
+        raise self._error(f"the FMU returns early from each step at {self.reached_ns} ns")
 
     def exchange(self, received: bytes) -> bytes:
         """Event at the time that it has reached: give it `received`, return what it sends; both may be empty.
@@ -146,7 +188,7 @@ class Node:
             if not again:
                 self._wants_event = False
                 return b"".join(parts)
-        raise PlantError(f"{self.fmu.path}: its discrete states do not settle at {self.reached_ns} ns")
+        raise self._error(f"its discrete states do not settle at {self.reached_ns} ns")
 
     def _triggered(self) -> bool:
         self._call("fmi3GetClock", self._references[self.terminal.tx_clock], 1, self._clock)
@@ -160,14 +202,14 @@ class Node:
         self._call("fmi3UpdateDiscreteStates", *self._flag_at, self._reals)
         again, ended, *_ = self._flags
         if ended:
-            raise PlantError(f"{self.fmu.path}: the FMU ended the simulation at {self.reached_ns} ns")
+            raise self._error(f"the FMU ended the simulation at {self.reached_ns} ns")
         if self.terminal.countdown:
             reference = self._references[self.terminal.tx_clock]
             self._call("fmi3GetIntervalDecimal", reference, 1, self._interval, self._qualifier)
             if self._qualifier[0] == _CHANGED:
                 wait_s = self._interval[0]
                 if not 0.0 <= wait_s < 1e9:
-                    raise PlantError(f"{self.fmu.path}: its Tx_Clock counts down from {wait_s:g} s")
+                    raise self._error(f"its Tx_Clock counts down from {wait_s:g} s")
                 self.due_ns = self.reached_ns + round(wait_s * 1e9)
         return bool(again)
 
@@ -183,12 +225,16 @@ class Node:
 
     def _call(self, function: str, *arguments: Any) -> None:
         if self._slave is None:
-            raise PlantError(f"{self.fmu.path}: the FMU is closed")
+            raise self._error("the FMU is closed")
         status = self._functions[function](self._slave.component, *arguments)
         if status > _WARNING:
-            raise PlantError(
-                f"{self.fmu.path}: {function} failed with fmi3Status {status} at {self.reached_ns} ns"
-            )
+            raise self._error(f"{function} failed with fmi3Status {status} at {self.reached_ns} ns")
+
+    def _error(self, what: str) -> PlantError:
+        """Error with the last messages of the FMU."""
+        said = shown("; ".join(filter(None, self._messages)))
+        self._messages.clear()
+        return PlantError(f"{self.fmu.path}: {what}{said and f': {said}'}")
 
     def close(self) -> None:
         """Terminate and free the FMU, remove the unpacked files. A second call does nothing."""

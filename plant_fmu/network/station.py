@@ -1,6 +1,6 @@
 """Station: one CAN FMU as a participant of a bus, with what the standard makes the bus remember of it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from drivers.can.bus_time import BitTiming
 from drivers.errors import PlantError
@@ -72,6 +72,15 @@ class Station:
             taken += 1
         del self.inbox[:taken]
         return packed
+
+
+def exchange(stations: Sequence[Station], index: int) -> list[Operation]:
+    """Exchange with station `index`; returns its Transmit operations. A Wakeup goes to the others."""
+    found = stations[index].exchange()
+    if wakeups := [each for each in found if each.code is Code.WAKEUP]:
+        for station in (*stations[:index], *stations[index + 1 :]):
+            station.inbox += wakeups
+    return [each for each in found if each.code is not Code.WAKEUP] if wakeups else found
 
 
 def bit_rates(stations: Iterable["Station"], default: BitTiming) -> BitTiming:

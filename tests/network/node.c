@@ -36,8 +36,13 @@ static void configure(Node* n) {
 
 static void transmit(Node* n) {
     const uint8_t data[8] = {n->count++, n->received, n->confirmed, n->lost, n->errors, n->refused, 0, 0xA5};
+#ifdef CAN_FD /* with bit rate switch, 12 bytes */
+    put_number(n, 0x11, 4), put_number(n, 29, 4), put_number(n, IDENTIFIER, 4), put_number(n, 0x000100, 3);
+    put_number(n, 12, 2), put(n, data, 8), put_number(n, 0, 4);
+#else
     put_number(n, 0x10, 4), put_number(n, 24, 4), put_number(n, IDENTIFIER, 4), put_number(n, 0, 2);
     put_number(n, 8, 2), put(n, data, 8);
+#endif
 #ifdef BROKEN
     put_number(n, 0xDEAD, 4), put_number(n, 8, 4);
 #endif
@@ -129,6 +134,10 @@ FMI3_Export fmi3Status fmi3GetIntervalDecimal(
     fmi3Instance i, const fmi3ValueReference r[], size_t count, fmi3Float64 intervals[],
     fmi3IntervalQualifier qualifiers[]) {
     Node* n = i;
+#ifdef SILENT_UNTIL_NS
+    qualifiers[0] = fmi3IntervalNotYetKnown;
+    if (n->now < SILENT_UNTIL_NS) return fmi3OK;
+#endif
     intervals[0] = n->again || n->tx_size ? 0.0 : 1e-9 * (double)(n->next - n->now);
     qualifiers[0] = fmi3IntervalChanged;
     return fmi3OK;
@@ -140,6 +149,14 @@ FMI3_Export fmi3Status fmi3DoStep(
     Node* n = i;
     n->now = llround(1e9 * (at + step));
     *end = *early = *event = false, *last = at + step;
+#ifdef EARLY_S
+    *early = true, *last = EARLY_S;
+#endif
+#ifdef SILENT_UNTIL_NS
+    if (at < 1e-9 * SILENT_UNTIL_NS && n->now > SILENT_UNTIL_NS) {
+        n->now = SILENT_UNTIL_NS, *early = *event = true, *last = 1e-9 * SILENT_UNTIL_NS;
+    }
+#endif
 #ifndef COUNTDOWN
     if (n->again) n->again = false, transmit(n);
     transmit_due(n);

@@ -9,8 +9,10 @@ from drivers.can.bus_time import BitTiming
 from drivers.can.localcan.participant import Participant
 from drivers.frame_array import received_frames, sent_array
 from drivers.protocol import Frame
+from hil.app.bus import run_attached
 from plant_fmu.network.attached import Attached
 from plant_fmu.network.station import Station
+from tests.network.can_nodes import demo_node
 
 RATES = BitTiming(500_000, 5_000_000)
 MS = 1_000_000
@@ -43,3 +45,20 @@ def test_frames_pass_both_ways_between_can_fmus_and_another_participant(hosted):
     assert data[0x100][CONFIRMED] in range(25, 31)
     assert data[0x200][RECEIVED] in range(25, 32)  # 30 of the other node, one of the participant
     assert set(attached.lateness_us()) == {"median", "p99", "largest"}
+
+
+@pytest.mark.realtime(patient=True)
+def test_demo_nodes_of_the_standard_exchange_their_frames_on_localcan():
+    demo = str(demo_node())
+    slow = BitTiming(100_000, 100_000)  # as they configure
+    listener = Participant("demo", slow, fd=False)
+    summary = run_attached([demo, demo], RATES, 1000, 0.95, interface="localcan", channel="demo", fd=False)
+    time.sleep(0.01)
+    heard = received_frames(listener.receive())
+    listener.close()
+    assert [each.frame for each in heard] == [Frame(1, b"\1\2\3\4")] * 6
+    assert summary["frames"] == 6
+    assert summary["error_frames"] == summary["unsent"] == 0
+    for first, second in zip(heard[::2], heard[1::2], strict=True):
+        # 4 bytes are 95 bits of 10 us: one after the other, if the host was not held up in between
+        assert 0 <= second.t_ns - first.t_ns - 950_000 < 300 * MS

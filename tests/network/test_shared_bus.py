@@ -1,8 +1,6 @@
 """CAN FMUs on the bus in lockstep: times, arbitration, notifications, refusals."""
 
-import os
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
@@ -11,7 +9,7 @@ from drivers.errors import PlantError
 from plant_fmu.network.node import Node
 from plant_fmu.network.shared_bus import SharedBus
 from plant_fmu.network.terminal import read_can_fmu
-from tests.network.can_nodes import build_node
+from tests.network.can_nodes import build_node, demo_node
 
 RATES = BitTiming(1_000_000, 5_000_000)
 FRAME_NS = 135 * 2_000
@@ -21,10 +19,12 @@ RECEIVED, CONFIRMED, LOST, ERRORS, REFUSED = range(1, 6)
 """Bytes of a frame of node.c with its counts."""
 
 
-def run(nodes, until_ns, **settings):
+def run(nodes, until_ns, step_ns=MS, **settings):
     """(bus, frames as tuples of end ns, node, identifier, data) after `until_ns`."""
     seen = []
-    bus = SharedBus(nodes, RATES, MS, on_frame=lambda t, k, f: seen.append((t, k, f.id, f.data)), **settings)
+    bus = SharedBus(
+        nodes, RATES, step_ns, on_frame=lambda t, k, f: seen.append((t, k, f.id, f.data)), **settings
+    )
     bus.run(until_ns)
     return bus, seen
 
@@ -112,14 +112,11 @@ def test_two_bit_rates_on_one_bus_are_refused(hosted):
         run([hosted(0x100), hosted(0x200, BITRATE=250_000)], 10 * MS)
 
 
-def test_demo_nodes_of_the_standard_send_at_the_times_of_their_source():
-    folder = os.environ.get("HIL_LS_BUS_FMUS")
-    if not folder:
-        pytest.skip("HIL_LS_BUS_FMUS is not set: the folder of the demo FMUs (docs/guides/can-fmus.md)")
-    path = Path(folder) / "DemoCanNodeTriggeredOutput.fmu"
+def test_demo_nodes_of_the_standard_send_at_the_times_of_their_source_to_the_bit():
+    path, bit_ns = demo_node(), 10_000
     nodes = [Node(read_can_fmu(path), f"demo{k}") for k in range(2)]
     try:
-        _, seen = run(nodes, 1000 * MS)
+        _, seen = run(nodes, 1000 * MS, step_ns=bit_ns)
     finally:
         for node in nodes:
             node.close()
@@ -127,5 +124,5 @@ def test_demo_nodes_of_the_standard_send_at_the_times_of_their_source():
     assert [i for _, _, i, _ in seen] == [1] * 6
     assert all(data == b"\1\2\3\4" for *_, data in seen)
     for k, (first, second) in enumerate(list(pairwise(seen))[::2], 1):
-        assert 0 <= first[0] - (k * 300 * MS + 950_000) <= MS  # 0.3 s summed in floating point
+        assert 0 <= first[0] - (k * 300 * MS + 950_000) <= bit_ns  # 0.3 s summed in floating point
         assert second[0] - first[0] == 950_000

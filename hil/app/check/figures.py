@@ -320,8 +320,13 @@ def feedforward(r: Report) -> None:
 
 
 def plant(r: Report) -> None:
-    """Add the mapping of an FMU and its response to small pushes. Raises PlantError: it cannot be hosted."""
+    """Add the mapping of an FMU and its response to small pushes.
+
+    Raises PlantError: it, or a CAN FMU of drives, cannot be hosted.
+    """
     s, c = r.s, r.s.c
+    if c.plant is not None and c.plant.drives.fmu is not None:
+        build_nodes(c)[1].close()
     if c.plant is None or not isinstance(c.plant.model, FmuPlant):
         return
     from plant_fmu.fmu.archive import open_archive  # noqa: PLC0415 - FMU tools, where one is the plant

@@ -230,6 +230,14 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
             "given: {c.plant.model.rest_length_m:g}"
         ),
     ),
+    "plant.drives.fmu": (
+        lambda c: (
+            c.plant is not None
+            and c.plant.drives.fmu is not None
+            and (bool(c.bus.channels) or any(getattr(c.sensors, kind) is not None for kind in KINDS))
+        ),
+        "CAN FMUs as drives: allowed: one bus, no section sensors; leave out bus.channels and sensors",
+    ),
     "drives.homing": (
         lambda c: c.drives.homing is not None and c.drives.transmission is None,
         "drives.protocol {c.drives.protocol} reports leg lengths and needs no homing; leave it out",

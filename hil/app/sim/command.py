@@ -98,8 +98,11 @@ def run_identity(
     if last_pose is not None:
         for stood in (last_pose.length, last_pose.limit_m, last_pose.step_m, last_pose.m_per_turn):
             digest.update(b"\0" + stood.tobytes())
+    files = [] if c.plant is None or c.plant.drives.fmu is None else list(c.plant.drives.fmu.path)
     if c.plant is not None and isinstance(c.plant.model, FmuPlant):
-        with open_regular(c.folder / c.plant.model.path) as fmu:
+        files.append(c.plant.model.path)
+    for file in files:
+        with open_regular(c.folder / file) as fmu:
             digest.update(hashlib.file_digest(fmu, "sha256").digest())
     return digest.hexdigest()[:32]
 

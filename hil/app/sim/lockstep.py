@@ -138,8 +138,11 @@ class Lockstep:
         received = wires.commands[: s["early"] if first else wires.record["commands"]]
         if s["nodes"]:
             replies = self.nodes.go_on(received, stopped)
-        else:
+        elif first:
             replies = self.nodes.advance(until_ns, received)
+        else:
+            deadline_ns = int(s["tick"]) * self.period_ns + int(s["window_ns"])
+            replies = self.nodes.answer(until_ns, received, self.wires.wanted, deadline_ns)
         self._replies = replies
         s["replies"], s["replied"] = data_at(replies), len(replies)
         self._look_at_nodes()

@@ -42,7 +42,9 @@ class Wires:
         self._timings, self._protocol = timings, protocol
         self.times_ns = np.array(list(map(frame_times_ns, timings)))
         self._free = np.full(len(timings), ALWAYS)
-        self._wanted = np.array(protocol.wanted, np.int64)
+        self.wanted = list(protocol.wanted)
+        """Identifiers of the answers to a SYNC or poll."""
+        self._wanted = np.array(self.wanted, np.int64)
         self._missing = np.zeros_like(self._wanted)
         self.record = w = np.zeros((), WIRES)
         w["buses"], w["free"], w["times"] = len(timings), data_at(self._free), data_at(self.times_ns)

@@ -18,7 +18,7 @@ from drivers.family import Family
 from drivers.files import read_regular
 from drivers.protocol import DriveSetup
 from drivers.sensors import SensorProtocol
-from drivers.signals import Reaction
+from drivers.signals import LEGS, Reaction
 from hil.app.configuration.bus_budget import bus_names
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
@@ -245,6 +245,13 @@ def _force_path(delay: ForceDelay, period_s: float) -> ForcePath:
     return ForcePath(period_s, 1e-3 * delay.bus_ms, 1e-3 * delay.drive_lag_ms)
 
 
+def build_robot(c: Configuration) -> Robot:
+    """Platform, strokes and initial pose of the plant."""
+    p, R = pose_arrays(start_pose(c))
+    low, high = (np.full(LEGS, end) for end in (c.platform.length_min_m, c.platform.length_max_m))
+    return Robot(platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}, low, high, p, R)
+
+
 def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[Nodes, Plant]:
     """Emulated drives and sensors, and the plant behind them; the caller closes the plant.
 
@@ -256,14 +263,11 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
 
     c = configuration
     assert c.plant is not None
-    p, R = pose_arrays(start_pose(c))
-    shape = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
-    ends = np.full(6, c.platform.length_min_m), np.full(6, c.platform.length_max_m)
-    robot = Robot(shape, *ends, p, R)
+    robot = build_robot(c)
     plant = c.plant.model.open(robot, c.folder or Path())
     try:
         if not isinstance(c.plant.model, BenchPlant):
-            _compare_lengths(c, plant, p, R)
+            _compare_lengths(c, plant, robot.p0, robot.R0)
         more, seed = ((), 0) if faults is None else (faults.faults, faults.seed)
         require_bus([*c.plant.faults, *more], c.bus, c.drives)
         plan = FaultPlan([*c.plant.faults, *more], seed, c.platform.gravity_m_s2)

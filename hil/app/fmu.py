@@ -3,9 +3,14 @@
 from pathlib import Path
 from typing import Any, Literal
 
+from drivers.errors import ConfigurationError
+from hil.app.compose import build_robot
+from hil.app.configuration.configuration import Configuration, load
 from hil.app.new.template import flow
+from plant_fmu.config import StewartPlant
 from plant_fmu.fmu.propose import Proposal, propose
 from plant_fmu.stewart.build import build
+from plant_fmu.stewart.plant import stewart_parameters
 
 
 def build_fmus(choice: Literal["2.0", "3.0", "both"], folder: Path | None = None) -> dict[str, Any]:
@@ -21,6 +26,47 @@ def build_fmus(choice: Literal["2.0", "3.0", "both"], folder: Path | None = None
         for version in versions
     }
     return {"success": True, "kind": "fmu build", **built}
+
+
+def can_parameters(c: Configuration) -> dict[str, Any]:
+    """Start values of the CAN FMU for a configuration, by parameter name.
+
+    Raises ConfigurationError for another protocol than `legs`, several buses, another plant than `stewart`.
+    """
+    c.require("sim")
+    assert c.plant is not None
+    model, drives, emulation = c.plant.model, c.drives, c.plant.drives
+    if drives.protocol != "legs" or len(c.bus.buses) > 1 or not isinstance(model, StewartPlant):
+        raise ConfigurationError(
+            f"{c.source}: the CAN FMU has six drives of protocol legs on one bus and plant type stewart; "
+            f"given: protocol {drives.protocol}, {len(c.bus.buses)} bus(es), plant type {model.type}"
+        )
+    return {
+        **stewart_parameters(model, build_robot(c)),
+        "layout": c.bus.layout,
+        "node_id": drives.node_ids,
+        "bitrate": c.bus.bitrate_bit_s,
+        "data_bitrate": c.bus.data_bitrate_bit_s,
+        "drive_force_limit": drives.force_limit_N,
+        "encoder_resolution": emulation.encoder_resolution_m,
+        "heartbeat": 1e-3 * drives.heartbeat_ms,
+        "drive_damping": emulation.damping_N_s_m,
+        "drive_stiffness": emulation.hold_stiffness_N_m,
+        "brake_after": 1e-3 * drives.brake_after_ms,
+        "brake_opening_time": 1e-3 * emulation.brake_open_ms,
+        "brake_closing_time": 1e-3 * emulation.brake_close_ms,
+    }
+
+
+def build_can_fmu(configuration: Path, folder: Path | None = None) -> dict[str, Any]:
+    """Build the CAN FMU for a configuration, copy it into `folder`, and return the summary.
+
+    Raises ConfigurationError, and PlantError without a working compiler.
+    """
+    c = load(configuration)
+    out = None if folder is None else folder / f"{c.name}-can.fmu"
+    path = build("3.0", out, bus=can_parameters(c))
+    return {"success": True, "kind": "fmu build", "can_fmu": str(path)}
 
 
 def plant_section(path: str, proposal: Proposal) -> list[str]:

@@ -21,25 +21,36 @@ def command() -> None:
 @command.command("build", short_help="Compile the platform's physics into FMUs.")
 @shared.option("--fmi", click.Choice(["2.0", "3.0", "both"]), None, "FMI version.", default="both")
 @shared.option("--output", FOLDER, "FOLDER", "Copy the .fmu there.")
+@shared.option(
+    "--ls-bus",
+    shared.FILE,
+    "[CONFIG]",
+    "CAN FMU (FMI-LS-BUS 1.0): the platform with six drives of protocol legs. Default: virtual.",
+    is_flag=False,
+    flag_value="virtual",
+)
 @shared.reporting
-def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -> None:
+def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None, ls_bus: Path | None) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
     One FMU serves every platform: geometry and inertia are its parameters. The FMU is kept in the user's
-    cache.
+    cache. With --ls-bus the FMU has a CAN bus in place of forces, for a controller in another tool; its
+    parameters start with the values of CONFIG.
 
     \b
     Examples:
-      hil fmu build                         both versions, into the cache
-      hil fmu build --fmi 3.0 --output .    ./stewart-fmi3.fmu for another tool
+      hil fmu build                          both versions, into the cache
+      hil fmu build --fmi 3.0 --output .     ./stewart-fmi3.fmu for another tool
+      hil fmu build --ls-bus lab --output .  ./lab-can.fmu, the other end of its bus
 
-    Guide: docs/guides/own-fmu.md.
+    Guide: docs/guides/own-fmu.md, docs/guides/can-fmus.md.
     """
-    from hil.app.fmu import build_fmus
+    from hil.app.fmu import build_can_fmu, build_fmus
 
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-    shared.finish("fmu build", build_fmus(fmi, output))
+    summary = build_fmus(fmi, output) if ls_bus is None else build_can_fmu(ls_bus, output)
+    shared.finish("fmu build", summary)
 
 
 @command.command("show", short_help="Variables of an FMU, and a proposed mapping.")

@@ -11,23 +11,27 @@ import sys
 import tempfile
 import uuid
 import zipfile
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from drivers.errors import PlantError
 from drivers.files import cache_folder, made_folder, whole_file
+from plant_fmu.stewart import can
 from plant_fmu.stewart.description import (
     COMPILER_OPTIONS,
     MODEL_IDENTIFIER,
     FmiVersion,
     build_description,
+    document,
     model_description,
 )
-from plant_fmu.stewart.variables import header, tables
+from plant_fmu.stewart.variables import VARIABLES, Variable, header, tables
 
 SOURCES = Path(__file__).parent / "sources"
 _COMMON = ("mechanics.c", "contact.c", "plant.c", "plant.h", "face.h")
+_DRIVES = ("drives.c", "drives.h", "frames.h", "terminal.h")
 FLAGS = (*COMPILER_OPTIONS.split(), "-fvisibility=hidden", "-shared")
 _PLAIN_2 = {"linux": "linux64", "windows": "win64", "darwin": "darwin64"}
 _ZIP_DATE = (2000, 1, 1, 0, 0, 0)
@@ -100,10 +104,24 @@ def find_compiler(*, zig: bool = False) -> Compiler:
     )
 
 
-def _source_files(version: FmiVersion) -> dict[str, bytes]:
-    files = {name: (SOURCES / name).read_bytes() for name in (*_COMMON, f"fmi{version[0]}.c")}
-    files["model.h"] = header().encode()
-    files["model.c"] = tables("").encode()
+class Model(NamedTuple):
+    """What an FMU contains: its variables, and whether it has drives and a bus terminal (FMI 3.0 only)."""
+
+    rows: tuple[Variable, ...] = VARIABLES
+    bus: bool = False
+
+
+PLANT = Model()
+
+
+def _source_files(version: FmiVersion, model: Model = PLANT) -> dict[str, bytes]:
+    names = (*_COMMON, f"fmi{version[0]}.c", *(_DRIVES if model.bus else ()))
+    files = {name: (SOURCES / name).read_bytes() for name in names}
+    defines = f"#define LS_BUS\n#define BUS_BYTES {can.BUS_BYTES}\n" if model.bus else ""
+    files["model.h"] = header(model.rows, defines).encode()
+    files["model.c"] = tables("", model.rows).encode()
+    if model.bus:
+        files["legs.h"] = can.legs_header().encode()
     return files
 
 
@@ -114,10 +132,11 @@ def _digest(parts: dict[str, bytes]) -> str:
     return total.hexdigest()
 
 
-def token(version: FmiVersion) -> str:
+def token(version: FmiVersion, model: Model = PLANT) -> str:
     """Instantiation token of the FMU: a hash of its sources and model description."""
-    files = _source_files(version)
-    xml = model_description(version, "", [name for name in files if name.endswith(".c")])
+    files = _source_files(version, model)
+    units = [name for name in files if name.endswith(".c")]
+    xml = model_description(version, "", units, model.rows, bus=model.bus)
     digest = _digest({**files, "modelDescription.xml": xml})
     return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, digest)}}}"
 
@@ -143,10 +162,19 @@ def _compile(compiler: Compiler, key: str, folder: Path, units: list[str]) -> by
 
 
 def _pack(
-    path: Path, version: FmiVersion, binaries: dict[str, bytes], sources: dict[str, bytes], guid: str
+    path: Path,
+    version: FmiVersion,
+    model: Model,
+    binaries: dict[str, bytes],
+    sources: dict[str, bytes],
+    guid: str,
 ) -> None:
     units = sorted(name for name in sources if name.endswith(".c"))
-    members = {"modelDescription.xml": model_description(version, guid, units)}
+    description = model_description(version, guid, units, model.rows, bus=model.bus)
+    members = {"modelDescription.xml": description}
+    if model.bus:
+        members["terminalsAndIcons/terminalsAndIcons.xml"] = document(can.terminal())
+        members["extra/org.fmi-standard.fmi-ls-bus/fmi-ls-manifest.xml"] = document(can.manifest())
     if version == "3.0":
         members["sources/buildDescription.xml"] = build_description(units)
     members |= {f"sources/{name}": data for name, data in sorted(sources.items())}
@@ -165,20 +193,27 @@ def _pack(
             archive.writestr(entry, data)
 
 
-def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: bool = False) -> Path:
+def build(
+    fmi_version: FmiVersion = "3.0",
+    out: Path | None = None,
+    *,
+    release: bool = False,
+    bus: Mapping[str, Any] | None = None,
+) -> Path:
     """Build our plant's FMU, or take it from the cache; return its path.
 
     out: path for a copy; None returns the cached file itself. release: binaries for all of TARGETS,
-    cross-compiled with zig; otherwise one for this machine. The same sources and compiler give the same
-    bytes.
+    cross-compiled with zig; otherwise one for this machine. bus: start values of parameters, for the CAN FMU
+    of drives and plant (FMI 3.0), see `can`. The same sources and compiler give the same bytes.
 
     Raises PlantError without a compiler, on a failed compilation, and if cache or copy cannot be written.
     """
     keys = list(TARGETS) if release else [this_machine()]
     compiler = find_compiler(zig=release)
-    guid = token(fmi_version)
-    sources = _source_files(fmi_version)
-    sources["model.c"] = tables(guid).encode()
+    model = PLANT if bus is None else Model(can.can_rows(bus), bus=True)
+    guid = token(fmi_version, model)
+    sources = _source_files(fmi_version, model)
+    sources["model.c"] = tables(guid, model.rows).encode()
     recipe = repr((compiler.identity, FLAGS, keys, [TARGETS[k] for k in keys], fmi_version))
     digest = _digest({**sources, "recipe": recipe.encode() + Path(__file__).read_bytes()})
     cached = cache_folder() / "fmu" / digest[:24] / f"{MODEL_IDENTIFIER}_fmi{fmi_version[0]}.fmu"
@@ -191,7 +226,7 @@ def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: 
                     (folder / name).write_bytes(data)
                 units = sorted(name for name in sources if name.endswith(".c"))
                 binaries = {key: _compile(compiler, key, folder, units) for key in keys}
-                _pack(folder / cached.name, fmi_version, binaries, sources, guid)
+                _pack(folder / cached.name, fmi_version, model, binaries, sources, guid)
                 (folder / cached.name).replace(cached)
     except OSError as error:
         raise PlantError(

@@ -4,6 +4,7 @@ A new variable is one row here and its use in ``sources/plant.c``.
 """
 
 import math
+from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any, Literal, NamedTuple
 
@@ -36,6 +37,14 @@ class Type(NamedTuple):
     description: str
     min: float | None = None
     max: float | None = None
+    items: tuple[str, ...] = ()
+    """Names of the values of an enumeration, from 1 on."""
+    whole: bool = False
+
+    @property
+    def element(self) -> str:
+        """Name of the XML element of its variables in FMI 3."""
+        return "Enumeration" if self.items else "Int64" if self.whole else "Float64"
 
 
 TYPES: dict[str, Type] = {
@@ -60,11 +69,16 @@ TYPES: dict[str, Type] = {
     "Direction": Type("Direction", None, "Component of a direction"),
     "RotationElement": Type("RotationElement", None, "Element of a rotation matrix"),
     "Mixed": Type("Mixed", None, "Array of three linear and three angular components, SI units"),
-    "LegSpin": Type("LegSpin", None, "What turns a leg about its own axis", min=1.0, max=2.0),
+    "LegSpin": Type(
+        "LegSpin", None, "What turns a leg about its own axis", min=1.0, max=2.0, items=("none", "universal")
+    ),
+    "Layout": Type("Layout", None, "Layout of frames", min=1.0, max=3.0, items=("classic", "fd", "ideal")),
+    "NodeNumber": Type("NodeNumber", None, "Node number of a drive", min=1.0, max=127.0, whole=True),
+    "BitRate": Type("BitRate", None, "Bit rate in bit/s", min=1e3, max=2e7, whole=True),
+    "Duration": Type("Time", "s", "Duration", min=0.0, max=1e4),
+    "Spring": Type("TranslationalSpringConstant", "N/m", "Stiffness that can be 0", min=0.0),
 }
-
-LEG_SPIN = ("none", "universal")
-"""Items of the enumeration LegSpin, values 1 and 2."""
+"""The last five are those of the drives: `plant_fmu.stewart.can`."""
 
 
 class Variable(NamedTuple):
@@ -184,22 +198,22 @@ def element_name(variable: Variable, element: int) -> str:
     return f"{variable.name}[{','.join(str(i + 1) for i in index)}]"
 
 
-def header() -> str:
-    """Text of the generated C header model.h."""
-    values = "\n".join(f"    double {v.name}{f'[{v.size}]' if v.shape else ''};" for v in VARIABLES)
+def header(rows: Sequence[Variable], defines: str) -> str:
+    """Text of the generated C header model.h for the variables `rows`, with more lines `defines`."""
+    values = "\n".join(f"    double {v.name}{f'[{v.size}]' if v.shape else ''};" for v in rows)
     return f"""/* Generated from the variable table. */
 #ifndef STEWART_MODEL_H
 #define STEWART_MODEL_H
 
-#define N_VARIABLES {len(VARIABLES)}
-#define N_VALUES {sum(v.size for v in VARIABLES)}
+{defines}#define N_VARIABLES {len(rows)}
+#define N_VALUES {sum(v.size for v in rows)}
 
 typedef struct {{
 {values}
 }} Values;
 
 enum {{ INDEPENDENT, PARAMETER, INPUT, OUTPUT }};
-enum {{ FLOAT64, ENUMERATION }};
+enum {{ FLOAT64, INTEGER }};
 
 typedef struct {{
     int offset, count, causality, type;
@@ -216,17 +230,17 @@ extern const char TOKEN[];
 """
 
 
-def tables(token: str) -> str:
-    """Text of the generated C file model.c with an instantiation token."""
-    rows = []
-    for v, end in zip(VARIABLES, accumulate(v.size for v in VARIABLES), strict=True):
+def tables(token: str, rows: Sequence[Variable]) -> str:
+    """Text of the generated C file model.c with an instantiation token, for the variables `rows`."""
+    lines = []
+    for v, end in zip(rows, accumulate(v.size for v in rows), strict=True):
         low, high = TYPES[v.type].min, TYPES[v.type].max
-        kind = "ENUMERATION" if v.type == "LegSpin" else "FLOAT64"
-        rows.append(
+        kind = "FLOAT64" if TYPES[v.type].element == "Float64" else "INTEGER"
+        lines.append(
             f"    {{{end - v.size}, {v.size}, {v.causality.upper()}, {kind}, "
             f"{-1e308 if low is None else low!r}, {1e308 if high is None else high!r}}},"
         )
-    elements = [(row, v, k) for row, v in enumerate(VARIABLES) for k in range(v.size)]
+    elements = [(row, v, k) for row, v in enumerate(rows) for k in range(v.size)]
     start = ", ".join(repr(float(v.start[k] if v.start else 0.0)) for _, v, k in elements)
     names = ", ".join(f'"{element_name(v, k)}"' for _, v, k in elements)
     owner = ", ".join(str(row) for row, _, _ in elements)
@@ -234,7 +248,7 @@ def tables(token: str) -> str:
 #include "model.h"
 
 const Variable VARIABLES[N_VARIABLES] = {{
-{chr(10).join(rows)}
+{chr(10).join(lines)}
 }};
 
 const double START[N_VALUES] = {{{start}}};

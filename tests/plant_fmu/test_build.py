@@ -52,10 +52,10 @@ def test_fmu_instantiation_token_changes_with_each_source_and_the_description(mo
     for name, data in files.items():
         with monkeypatch.context() as changed:
             changed.setattr(
-                builder, "_source_files", lambda _, name=name, data=data: {**files, name: data + b"\n"}
+                builder, "_source_files", lambda *_, name=name, data=data: {**files, name: data + b"\n"}
             )
             tokens.add(builder.token(version))
-    monkeypatch.setattr(builder, "model_description", lambda *_: b"another")
+    monkeypatch.setattr(builder, "model_description", lambda *_, **__: b"another")
     tokens.add(builder.token(version))
     assert len(tokens) == 3 + len(files)
 
@@ -69,14 +69,16 @@ def test_fmu_binary_refuses_the_instantiation_token_of_another_build(unpacked):
     assert b"different builds" in said[0]
 
 
-def test_c_sources_of_the_fmu_compile_without_a_warning(unpacked, tmp_path):
-    folder, _ = unpacked
+@pytest.mark.parametrize("bus", [None, {}], ids=["plant", "CAN FMU"])
+def test_c_sources_of_the_fmu_compile_without_a_warning(bus, tmp_path):
+    with zipfile.ZipFile(build("3.0", bus=bus)) as archive:
+        archive.extractall(tmp_path)
     compiler = builder.find_compiler()
-    sources = sorted(p.name for p in (folder / "sources").glob("*.c"))
+    sources = sorted(p.name for p in (tmp_path / "sources").glob("*.c"))
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror", "-fPIC", "-shared"]
     done = subprocess.run(
         [*compiler.command, *flags, "-o", str(tmp_path / "x.so"), *sources, "-lm"],
-        cwd=folder / "sources",
+        cwd=tmp_path / "sources",
         capture_output=True,
         text=True,
         check=False,
@@ -87,7 +89,7 @@ def test_c_sources_of_the_fmu_compile_without_a_warning(unpacked, tmp_path):
 def test_failed_compilation_of_the_fmu_reports_the_compiler_output_and_caches_nothing(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     files = builder._source_files("3.0")
-    monkeypatch.setattr(builder, "_source_files", lambda _: {**files, "plant.c": b"this is no C\n"})
+    monkeypatch.setattr(builder, "_source_files", lambda *_: {**files, "plant.c": b"this is no C\n"})
     with pytest.raises(PlantError, match=r"(?s)exit code.*plant\.c"):
         build("3.0")
     assert list((tmp_path / "hexapod-hil" / "fmu").glob("*/*")) == []

@@ -25,6 +25,13 @@
 #define JOIN(a, b) JOIN2(a, b)
 #define TEXT2(name) #name
 #define TEXT(name) TEXT2(name)
+#ifdef LS_BUS
+#define START drives_start
+#define STEP drives_step
+#else
+#define START(plant, why) 0
+#define STEP plant_step
+#endif
 
 /* The standard fixes the signatures, so some parameters are unused. */
 #pragma GCC diagnostic ignored "-Wunused-parameter"
@@ -93,7 +100,7 @@ static Status instance_step(Instance *instance, double time, double dt)
     char why[REASON_SIZE];
     if (!instance || instance->plant.mode != STEPPING)
         return instance_fail(instance, "a step needs an initialised instance");
-    return plant_step(&instance->plant, time, dt, why) == 0 ? OK : instance_fail(instance, why);
+    return STEP(&instance->plant, time, dt, why) == 0 ? OK : instance_fail(instance, why);
 }
 
 SHARED(SetDebugLogging)(const Instance *instance, int on, size_t n, const char *const categories[])
@@ -110,7 +117,7 @@ SHARED(ExitInitializationMode)(Instance *instance)
     char why[REASON_SIZE];
     if (!instance || instance->plant.mode != INITIALISING)
         return instance_fail(instance, "initialisation has not been entered");
-    const int failed = plant_initialise(&instance->plant, why);
+    const int failed = plant_initialise(&instance->plant, why) || START(&instance->plant, why);
     instance->plant.mode = failed ? BROKEN : STEPPING;
     return failed ? instance_fail(instance, why) : OK;
 }
@@ -238,7 +245,6 @@ WITHOUT(Boolean)
 WITHOUT(String)
 BOTH_UNSUPPORTED(ContinuousStates)
 UNSUPPORTED(GetDirectionalDerivative)
-UNSUPPORTED(EnterEventMode)
 UNSUPPORTED(EnterContinuousTimeMode)
 UNSUPPORTED(CompletedIntegratorStep)
 UNSUPPORTED(SetTime)

@@ -53,7 +53,7 @@ API FMI(fmi2EnterInitializationMode)(Instance *instance)
 }
 
 ACCESS(GetReal, SetReal, double, FLOAT64)
-ACCESS(GetInteger, SetInteger, int, ENUMERATION)
+ACCESS(GetInteger, SetInteger, int, INTEGER)
 
 /* There are no derivatives of inputs and outputs. */
 NO_VARIABLES(SetRealInputDerivatives)
@@ -80,5 +80,6 @@ UNSUPPORTED(GetStringStatus)
 UNSUPPORTED(CancelStep)
 
 /* Model exchange. */
+UNSUPPORTED(EnterEventMode)
 UNSUPPORTED(NewDiscreteStates)
 UNSUPPORTED(GetDerivatives)

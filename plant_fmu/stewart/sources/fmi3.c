@@ -50,13 +50,16 @@ API FMI(fmi3EnterInitializationMode)(Instance *instance, bool tolerance_defined,
 }
 
 ACCESS(GetFloat64, SetFloat64, double, FLOAT64)
-ACCESS(GetInt64, SetInt64, int64_t, ENUMERATION)
+ACCESS(GetInt64, SetInt64, int64_t, INTEGER)
 
 API FMI(fmi3DoStep)(Instance *instance, double time, double dt, bool no_set_state_before, bool *event_needed,
                     bool *terminate, bool *early_return, double *last_time)
 {
     const Status status = instance_step(instance, time, dt);
     *event_needed = *terminate = *early_return = false;
+#ifdef LS_BUS
+    if (instance) *event_needed = instance->plant.drives.size > 0;
+#endif
     if (instance) *last_time = instance->plant.v.time;
     return status;
 }
@@ -72,16 +75,13 @@ WITHOUT(UInt32)
 WITHOUT(UInt64)
 
 /* Other functions of the standard that this FMU does not support. */
-BOTH_UNSUPPORTED(Binary)
-BOTH_UNSUPPORTED(Clock)
-BOTH_UNSUPPORTED(IntervalDecimal)
+UNSUPPORTED(SetIntervalDecimal)
 BOTH_UNSUPPORTED(IntervalFraction)
 BOTH_UNSUPPORTED(ShiftDecimal)
 BOTH_UNSUPPORTED(ShiftFraction)
 UNSUPPORTED(GetNumberOfVariableDependencies)
 UNSUPPORTED(GetVariableDependencies)
 UNSUPPORTED(GetAdjointDerivative)
-UNSUPPORTED(UpdateDiscreteStates)
 UNSUPPORTED(GetContinuousStateDerivatives)
 UNSUPPORTED(GetNumberOfEventIndicators)
 UNSUPPORTED(GetNumberOfContinuousStates)
@@ -90,4 +90,14 @@ UNSUPPORTED(ActivateModelPartition)
 UNSUPPORTED(EnterConfigurationMode)
 UNSUPPORTED(ExitConfigurationMode)
 UNSUPPORTED(EvaluateDiscreteStates)
+
+#ifdef LS_BUS
+#include "terminal.h"
+#else
+BOTH_UNSUPPORTED(Binary)
+BOTH_UNSUPPORTED(Clock)
+UNSUPPORTED(GetIntervalDecimal)
+UNSUPPORTED(UpdateDiscreteStates)
+UNSUPPORTED(EnterEventMode)
 UNSUPPORTED(EnterStepMode)
+#endif

@@ -9,6 +9,9 @@
 #include <stddef.h>
 
 #include "model.h"
+#ifdef LS_BUS
+#include "drives.h"
+#endif
 
 #define LEGS 6
 #define REASON_SIZE 256
@@ -24,7 +27,7 @@ typedef struct {
 } Motion;
 
 /* Plain data: copying it copies the state. */
-typedef struct {
+typedef struct Plant {
     Values v; /* every variable of the model description, see model.h */
     Motion x;
     double applied[LEGS]; /* N, after the force lag */
@@ -35,6 +38,9 @@ typedef struct {
     /* Computed from the parameters at initialisation. */
     double hinge[LEGS][3];    /* unit vectors: base-side hinge of each universal joint */
     double decay, decay_half; /* of the force lag over one and one half internal step */
+#ifdef LS_BUS
+    Drives drives;
+#endif
 } Plant;
 
 /* The equations of motion at one state: M dtwist = rhs + J tau, and ddl = J^T dtwist + bias.

@@ -69,8 +69,10 @@ class LiveRun:
 class Listening:
     """Receives the operator's lines in place of a controller, and accepts all."""
 
-    def __init__(self, waits: str = "waits for tests") -> None:
-        self._waits = waits
+    def __init__(self, waits: str = "waits for tests", status: dict[str, Any] | None = None) -> None:
+        """status: keys that differ from those of a controller that moves."""
+        self._status = {"waits_for": waits, "speed_percent": 40, "speed_now_percent": 55.0, "key": "missing"}
+        self._status |= status or {}
         self.lines: list[str] = []
         self.times: list[float] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -102,14 +104,7 @@ class Listening:
             tag, _, line = data.decode().partition(" ")
             answer = "taken"
             if line == "status":
-                answer = json.dumps(
-                    {
-                        "waits_for": self._waits,
-                        "speed_percent": 40,
-                        "speed_now_percent": 55.0,
-                        "key": "missing",
-                    }
-                )
+                answer = json.dumps(self._status)
             else:
                 self.lines.append(line)
                 self.times.append(time.monotonic())

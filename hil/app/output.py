@@ -317,11 +317,22 @@ def replay_sentence(summary: dict[str, Any]) -> str:
     return "; ".join((sentence, *summary["gaps"]))
 
 
+_NAMES = {
+    "peak_V": "largest V (energy of the tracking error)",
+    "bound_at_peak": "largest V allowed at that time",
+    "largest_share": "error, largest share of its certified limit",
+    "watched_ticks": "ticks compared with the limit",
+    "syncs": "SYNCs, polls or remote frames received",
+}
+"""Figures whose keys need other words."""
+
+
 def _name_and_unit(key: str) -> tuple[str, str]:
     for end, unit in UNITS.items():
         if key.endswith(end):
-            return key.removesuffix(end).replace("_", " "), unit
-    return key.replace("_", " "), ""
+            name = key.removesuffix(end)
+            return _NAMES.get(name, name.replace("_", " ")), unit
+    return _NAMES.get(key, key.replace("_", " ")), ""
 
 
 def _text(value: Any, unit: str) -> str:

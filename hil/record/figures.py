@@ -159,8 +159,9 @@ def picture(rows: Rows, path: Path, title: str) -> Path:
     for i, name in enumerate(COLUMNS["p"].elements):
         path_axes.plot(t, rows["p"][:, i], label=name)
         path_axes.plot(t, np.where(moving, rows["p_d"][:, i], np.nan), "k:", linewidth=0.8)
-    path_axes.set(title="platform origin, measured; dotted: reference", ylabel=COLUMNS["p"].unit)
-    path_axes.legend(loc="upper right")
+    path_axes.set_title("platform origin; dotted: reference", loc="left")
+    path_axes.set_ylabel(COLUMNS["p"].unit)
+    path_axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, handlelength=1.2)
     e_mm = np.where(moving[:, None], (rows["q_d"] - rows["q"]) * 1e3, np.nan)
     error_axes.plot(t, e_mm, linewidth=0.8)
     error_axes.set(title="leg error q_d - q while tracking", ylabel="mm")

@@ -28,6 +28,8 @@ _PIECE = struct.Struct("<QQQQ")
 """Head of the content: number, end flag, size of the content in bytes, CRC."""
 _LARGEST = 1 << 18
 """Bytes reserved for the content."""
+PAST_ROWS, PAST_STEP = 1000, 3
+"""Earlier rows kept after the content, one of every third piece: a minute of them at 50 pieces a second."""
 
 _FIGURES = "seen_ns ticks stale skipped late_ns compute_ns dropped waiting capacity log_bytes"
 FIGURES = np.dtype([(name, "<i8") for name in _FIGURES.split()])
@@ -67,15 +69,23 @@ class Mirror:
         text = json.dumps(about).encode()
         self._path, self._at = path, _ABOUT.size + len(text)
         self._number, self._content = 0, b""
+        self._past = _past_dtype(about["columns"])
         new = path.with_name(f"{path.name}.{os.getpid()}")
         self._fd = os.open(new, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         os.pwrite(self._fd, _ABOUT.pack(len(text)) + text, 0)
-        os.posix_fallocate(self._fd, self._at, _LARGEST)  # a full memory fails here, not later
+        os.posix_fallocate(
+            self._fd, self._at, _LARGEST + PAST_ROWS * self._past.itemsize
+        )  # a full memory fails here, not later
         new.replace(path)  # readers of an earlier run keep its file
 
     def write(self, row: np.void | Rows, figures: Rows, events: bytes = b"[]") -> None:
         """Replace the content: a row of the run's table, figures () of FIGURES, events as a JSON list."""
-        self._number, self._content = self._number + 1, row.tobytes() + figures.tobytes() + events
+        data = row.tobytes()
+        if self._number % PAST_STEP == 0:
+            slot = self._number // PAST_STEP % PAST_ROWS
+            kept = zlib.crc32(data).to_bytes(4, "little") + data
+            os.pwrite(self._fd, kept, self._at + _LARGEST + slot * self._past.itemsize)
+        self._number, self._content = self._number + 1, data + figures.tobytes() + events
         self._put(ended=False)
 
     def close(self) -> None:
@@ -90,6 +100,11 @@ class Mirror:
         content = self._content
         head = _PIECE.pack(self._number, ended, len(content), _crc(self._number, ended, content))
         os.pwrite(self._fd, head + content, self._at)
+
+
+def _past_dtype(columns: object) -> np.dtype[np.void]:
+    """A kept row and its CRC, which shows a reader that the row is whole."""
+    return np.dtype([("crc", "<u4"), ("row", Table("", columns_of(str(columns))).dtype)])
 
 
 def _crc(number: int, ended: int, content: bytes) -> int:
@@ -118,7 +133,8 @@ class MirrorReader:
             raise LogError(
                 f"{path} was written by another version of hil: use the version of the running controller"
             )
-        self.dtype = Table("", columns_of(self.about["columns"])).dtype
+        self._past = _past_dtype(self.about["columns"])
+        self.dtype = self._past["row"]
 
     @property
     def newest(self) -> int:
@@ -137,3 +153,11 @@ class MirrorReader:
         row = np.frombuffer(content[:first], self.dtype)[0]
         figures = np.frombuffer(content[first:second], FIGURES)[0]
         return Piece(number, bool(ended), row, figures, json.loads(content[second:]))
+
+    def past(self) -> Rows:
+        """Kept rows (n,) of the last minute, every tick once, in their order."""
+        region = self._map[self._at + _LARGEST :][: PAST_ROWS * self._past.itemsize]
+        kept = np.frombuffer(region, self._past)
+        whole = [k for k, each in enumerate(kept["row"]) if zlib.crc32(each.tobytes()) == kept["crc"][k]]
+        rows: Rows = kept["row"][whole]
+        return rows[np.unique(rows["tick"], return_index=True)[1]]

@@ -23,7 +23,9 @@ from typing import IO, Any
 import numpy as np
 from mcap.records import Channel, Schema
 
+from drivers.arrays import Rows
 from drivers.errors import LogError
+from drivers.signals import Mode
 from hil.record.child import receive
 from hil.record.encode import TICK, Encoder, Messages
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
@@ -32,7 +34,17 @@ from hil.record.publish import LiveSocket, LiveView, Publisher
 from hil.record.recording import Live
 from hil.record.ring import DROPPED, Ring
 from hil.record.row import Run, Table
-from hil.record.schema import CLEAN, DISK_FULL, ENVIRONMENT, IDENTITY, LIBRARY, PRODUCER_DIED, SUMMARY
+from hil.record.schema import (
+    CLEAN,
+    DISK_FULL,
+    ENVIRONMENT,
+    IDENTITY,
+    LIBRARY,
+    PEAK_ERROR,
+    PRODUCER_DIED,
+    SPAN,
+    SUMMARY,
+)
 
 FLUSH_S = 0.1
 """Time between two chunks in real time, s; if all processes are killed, at most twice this time is lost."""
@@ -47,7 +59,7 @@ _MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".dbc": "tex
 
 
 class Recorder:
-    """Writer of one log. State: read position in the ring, the file, the live outputs."""
+    """Writer of one log. State: read position in the ring, the file, figures of the run, the live outputs."""
 
     def __init__(self, ring: Ring, run: Run, setup: Mapping[str, Any]) -> None:
         """Open the log; `setup` comes from `hil.record.recording.Recording.start`."""
@@ -74,6 +86,8 @@ class Recorder:
         except (OSError, ValueError):
             self.file.discard()  # it has no tick
             raise
+        self._first_ns: int | None = None
+        self._figures: dict[str, float] = {}
         self._publisher = _publisher(ring, setup["mirror"])  # last: only a run that has started is shown
 
     def _open(self, setup: Mapping[str, Any]) -> None:
@@ -119,13 +133,13 @@ class Recorder:
     def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
         """Write the summary, close the log and return the final reply; `summary` None: the producer died."""
         counts = self._counts(CLEAN if summary is not None else PRODUCER_DIED)
-        self.file.add_metadata(SUMMARY, {**(summary or {}), **counts})
+        self.file.add_metadata(SUMMARY, {**(summary or {}), **self._figures, **counts})
         self.file.finish()
         return self._final_reply(counts)
 
     def close_full(self, error: OSError) -> dict[str, object]:
         """Close the log on a full disk with the content that fits, and return the final reply."""
-        self.file.finish_within(SUMMARY, lambda: self._counts(DISK_FULL))
+        self.file.finish_within(SUMMARY, lambda: self._figures | self._counts(DISK_FULL))
         return {
             **self._final_reply(self._counts(DISK_FULL)),
             "error": f"{DISK_FULL}: {error.strerror}; the log is closed and holds the first "
@@ -152,6 +166,7 @@ class Recorder:
             return False
         messages = self._encoder.encode(batch)
         self._write(messages)
+        self._measure(batch.rows)
         if self._live is not None:
             self._live.show(batch.rows)
         if self._publisher is not None:
@@ -160,6 +175,18 @@ class Recorder:
         if self.socket is not None:
             self.socket.publish(messages)
         return True
+
+    def _measure(self, rows: Rows) -> None:
+        """Add rows to the figures of the run in the summary of its log."""
+        if not len(rows):
+            return
+        if self._first_ns is None:
+            self._first_ns = int(rows["t_ns"][0])
+        self._figures[SPAN] = 1e-9 * (int(rows["t_ns"][-1]) - self._first_ns)
+        tracking = rows[rows["mode"] == Mode.TRACKING] if "q_d" in (rows.dtype.names or ()) else rows[:0]
+        if len(tracking):
+            error_mm = 1e3 * float(np.abs(tracking["q_d"] - tracking["q"]).max())
+            self._figures[PEAK_ERROR] = max(error_mm, self._figures.get(PEAK_ERROR, 0.0))
 
     def _write(self, messages: Messages) -> None:
         """Write messages as compressed chunks of about CHUNK_SIZE bytes that begin and end between ticks."""

@@ -14,6 +14,8 @@ RUN = "run"
 """Key in IDENTITY: an identifier that only the two logs of one simulation share."""
 CLEAN, PRODUCER_DIED, DISK_FULL = "clean", "producer died", "disk_full"
 """Values of the key `closed` in SUMMARY: how a log was closed."""
+SPAN, PEAK_ERROR = "duration_s", "peak_leg_error_mm"
+"""Keys in SUMMARY: time from first to last row; largest error of a leg in TRACKING."""
 CONFIGURATION = "config.yaml"
 """Name of the attachment that holds the configuration."""
 

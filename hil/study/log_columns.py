@@ -32,6 +32,12 @@ class Curve(NamedTuple):
             return self.part.of(rows) - self.less.of(rows) if self.less else self.part.of(rows)
 
     @property
+    def columns(self) -> str:
+        """Columns of the log, e.g. `tau` or `q_d - q`."""
+        parts = (self.part,) if self.less is None else (self.part, self.less)
+        return DIFFERENCE.join(part.column.name for part in parts)
+
+    @property
     def title(self) -> str:
         """Label with its unit, e.g. `tau.leg_3 [N]`."""
         return titled(self.label, self.unit)

@@ -160,7 +160,7 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
     else:
         axes.set_ylabel(" | ".join(dict.fromkeys(c.unit for c in curves)), parse_math=False)
     if shown:
-        legend = axes.legend(fontsize="x-small", ncols=2, loc="upper right")
+        legend = axes.legend(fontsize="x-small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         for text in legend.get_texts():
             text.set_parse_math(False)
 

@@ -15,7 +15,7 @@ from drivers.signals import Warn
 from drivers.tick_columns import ROW, Column
 from hil.record import Recording
 from hil.record.environment import product_version
-from hil.record.mirror import FIGURES, Mirror, MirrorReader, mirror_path
+from hil.record.mirror import FIGURES, PAST_ROWS, Mirror, MirrorReader, mirror_path
 from hil.record.row import TICKS, Table, describe
 from tests.hil.samples import random_rows
 
@@ -48,6 +48,25 @@ def hammer(path, seconds):
         row["R"][...] = row["tau"][...] = row["lyapunov_share"] = k
         mirror.write(row, figures, b"[" + b" " * (k % 2000) + str(k).encode() + b"]")
         time.sleep(1e-4)
+
+
+def test_mirror_keeps_rows_of_the_last_minute_in_their_order(tmp_path):
+    path = tmp_path / "m"
+    mirror = Mirror(path, ABOUT)
+    row = np.zeros((), ROW)
+    for tick in range(0, 3 * PAST_ROWS * 20 + 1800, 20):  # 20 ms apart, more than the slots hold
+        row["tick"], row["t_ns"] = tick, 1_000_000 * tick
+        mirror.write(row, np.zeros((), FIGURES))
+    past = MirrorReader(path).past()
+    assert len(past) == PAST_ROWS
+    assert set(np.diff(past["tick"])) == {60}
+    assert tick - past["tick"][-1] < 60
+    assert tick - past["tick"][0] == pytest.approx(60_000, abs=120), "a minute at 1 kHz"
+    with path.open("r+b") as file:  # a row that is half written
+        file.seek(-1000 * ROW.itemsize, 2)
+        file.write(b"\xff" * 8)
+    assert len(MirrorReader(path).past()) == PAST_ROWS - 1
+    mirror.close()
 
 
 def test_mirror_reader_sees_only_whole_updates_of_a_fast_writer(tmp_path):

@@ -100,7 +100,7 @@ def test_the_end_of_a_log_has_the_producers_summary_and_the_counts(tmp_path):
     counts = {"closed": "clean", "ticks": 3, "messages": 4, "dropped": 9}
     assert float(cast("float", answer.pop("recorder_cpu_s"))) > 0.0
     assert answer == counts | {"size_bytes": bench.path.stat().st_size}
-    assert read(bench.path)[2]["summary"] == {"ending": "PARKED"} | {
+    assert read(bench.path)[2]["summary"] == {"ending": "PARKED", "duration_s": "0.0"} | {
         name: str(n) for name, n in counts.items()
     }
 

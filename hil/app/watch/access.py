@@ -64,7 +64,7 @@ class Access:
         ):
             raise Refused(HTTPStatus.FORBIDDEN, "the request comes from a page of another site")
         if self.beyond:
-            self._check_token(request)
+            self.check_token(request)
 
     def check_operate(self, request: Request) -> None:
         """Raise Refused for a request that may not send operator commands."""
@@ -73,7 +73,7 @@ class Access:
             raise Refused(
                 HTTPStatus.FORBIDDEN, "the configuration does not allow the page to operate (watch.operate)"
             )
-        self._check_token(request)
+        self.check_token(request)
         if "origin" not in request.headers or request.headers.get("content-type") != "application/json":
             raise Refused(HTTPStatus.FORBIDDEN, "allowed: JSON from the page itself, with its Origin")
 
@@ -89,7 +89,8 @@ class Access:
         """Name of the token's cookie; includes the port, as browsers share cookies between ports."""
         return f"hil-watch-{self.port}"
 
-    def _check_token(self, request: Request) -> None:
+    def check_token(self, request: Request) -> None:
+        """Raise Refused for a request without the token."""
         if not self.knows(request):
             raise Refused(
                 HTTPStatus.UNAUTHORIZED, "open the link with the token that `hil watch` has printed"

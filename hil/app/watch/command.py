@@ -10,12 +10,14 @@ import signal
 import socket
 import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 from drivers.errors import RunError
 from hil.app.configuration.configuration import Configuration
 from hil.app.watch.access import Access
 from hil.app.watch.feed import Feed
+from hil.app.watch.history import History
 from hil.app.watch.server import Operating, Server
 from hil.record.mirror import mirror_path
 
@@ -39,12 +41,14 @@ def watch(
     *,
     host: str = LOOPBACK,
     port: int | None = None,
+    runs: Path | None = None,
     alive: int | None = None,
 ) -> dict[str, Any]:
     """Serve the live page until Ctrl-C, SIGTERM or the end of file of `alive`; return the summary.
 
     host: address or name to listen on; beyond the loopback every request needs the token. port: None is PORT,
-    or a free port if PORT is in use; 0 is a free port. Raises RunError if the server cannot listen.
+    or a free port if PORT is in use; 0 is a free port. runs: folder of the listed logs; default: the
+    configured one. Raises RunError if the server cannot listen.
     """
     listening = _listen(host, port)
     port = int(listening.getsockname()[1])
@@ -54,7 +58,8 @@ def watch(
     access = Access(secrets.token_urlsafe(24), port, frozenset(names), beyond, c.watch.operate)
     operating = Operating(c.bus.interface, c.bus.channel) if c.watch.operate else None
     feed = Feed(mirror_path(c.bus.interface, c.bus.channel))
-    server = Server(listening, feed, access, assets(), operating)
+    history = History(Path(c.recording.folder) if runs is None else runs)
+    server = Server(listening, feed, access, assets(), operating, history)
     with contextlib.suppress(OSError):
         os.nice(NICE)
     if elsewhere := os.sched_getaffinity(0) - {c.loop.cpu}:

@@ -6,13 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from hil.app.watch.state import state
+from hil.app.watch.state import curves, state
 from hil.record.mirror import MirrorReader
 
 PERIOD_S = 0.01
 """Shortest period, s, of reading the shared memory, which the recorder fills every 20 ms."""
 FOLLOW_S = 0.5
 """Period of looking for a new run."""
+PAST_S = 0.5
+"""Longest age of the curves of the last minute that a new viewer gets."""
 REPEAT_S = 0.25
 """Period of repeating an unchanged state, whose age grows."""
 
@@ -28,6 +30,7 @@ class Feed:
         self._reader: MirrorReader | None = None
         self._looked = self._followed = self._made = float("-inf")
         self._number = 0
+        self._past = float("-inf"), b""
         self._events: list[dict[str, Any]] = []
         self.said: dict[str, Any] | None = None
         """Status of the controller, if it is requested."""
@@ -61,6 +64,13 @@ class Feed:
         self.state = event("state", shown | {"ended": piece.ended, "said": self.said})
         self._number, self._made = piece.number, now
 
+    def past(self) -> bytes:
+        """Event with the curves of the last minute, for a new viewer; empty without a run."""
+        reader, now = self._reader, time.monotonic()
+        if reader is not None and now - self._past[0] > PAST_S:
+            self._past = now, event("past", curves(reader.past(), reader.about["rate_Hz"]))
+        return self._past[1]
+
     def _follow(self) -> None:
         try:
             if self._reader is not None and self._reader.inode == self._path.stat().st_ino:
@@ -72,6 +82,7 @@ class Feed:
             self._trouble(str(error))
             return
         self._reader, self._number, self._events = reader, 0, []
+        self._past = float("-inf"), b""
         self.state, self.events = b"", event("events", [])
         about = {name: value for name, value in reader.about.items() if name != "columns"}
         self.about = event("about", about)

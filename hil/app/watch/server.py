@@ -23,6 +23,7 @@ from urllib.parse import parse_qs
 from drivers.errors import HilError
 from hil.app.watch.access import Access, Refused, Request
 from hil.app.watch.feed import PERIOD_S, Feed, event
+from hil.app.watch.history import History
 from hil.operate.client import OperatorClient
 from hil.operate.commands import parse
 
@@ -53,6 +54,8 @@ _HEADERS = {
 }
 
 
+_SANDBOX = {"Content-Security-Policy": "sandbox allow-scripts allow-downloads; frame-ancestors 'none'"}
+"""A report has a policy of its own, and here an origin of its own: no script of a log can operate."""
 WORDS = frozenset({"arm", "start", "hold", "stop", "park", "reset", "estop", "speed", "jog", "key"})
 """Operator commands with controls on the page."""
 KEY = "key"
@@ -114,11 +117,13 @@ class Server(ThreadingMixIn, TCPServer):
         access: Access,
         assets: dict[str, tuple[bytes, str]],
         operating: Operating | None,
+        history: History | None = None,
     ) -> None:
         super().__init__(("", 0), Handler, bind_and_activate=False)
         self.socket.close()
         self.socket = listening
         self.feed, self.access, self.assets, self.operating = feed, access, assets, operating
+        self.history = history
         self.lock = threading.Lock()
         """Guards the feed, connections and streams."""
         self.waits: dict[socket.socket, bool] = {}
@@ -246,6 +251,9 @@ class Handler(BaseHTTPRequestHandler):
         if request.path == "/stream" and self.command == "GET":
             self._stream(request)
             return
+        if request.path in {"/runs", "/report"}:
+            self._history(request)
+            return
         if request.path not in self.server.assets:
             raise Refused(HTTPStatus.NOT_FOUND, "no such page")
         access = self.server.access
@@ -313,6 +321,19 @@ class Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(body)
 
+    def _history(self, request: Request) -> None:
+        """Send the list of earlier runs, or a report; both need the token."""
+        self.server.access.check_token(request)
+        history = self.server.history
+        if history is None:
+            raise Refused(HTTPStatus.NOT_FOUND, "this page lists no runs")
+        self._arrived()
+        if request.path == "/runs":
+            self._answer(HTTPStatus.OK, json.dumps(history.runs()).encode(), "application/json")
+            return
+        names = [name for name in (request.query.get("run"), request.query.get("other")) if name]
+        self._answer(HTTPStatus.OK, history.page(names), "text/html; charset=utf-8", **_SANDBOX)
+
     def _stream(self, request: Request) -> None:
         access = self.server.access
         ours = access.knows(request)
@@ -321,8 +342,12 @@ class Handler(BaseHTTPRequestHandler):
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BEHIND_BYTES)  # queued data age
             self._head(HTTPStatus.OK, **{"Content-Type": "text/event-stream"})
             hello = {"operate": access.operate and ours, "allowed": access.operate}
-            self.wfile.write(event("hello", hello))
-            sent = (b"", b"", b"")
+            about, _, _ = self.server.parts()
+            with self.server.lock:
+                past = self.server.feed.past()
+            self.wfile.write(event("hello", hello) + about + past)
+            del past
+            sent = (about, b"", b"")
             while not select.select([self.connection], [], [], PERIOD_S)[0]:  # readable: the viewer has left
                 parts = self.server.parts()
                 self.wfile.write(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drivers.arrays import Rows
 from drivers.signals import NEVER, Mode
 from drivers.tick_columns import COLUMNS
 from hil.app.configuration.configuration import Configuration
@@ -39,24 +40,34 @@ def run_description(c: Configuration, log: Path, rate_Hz: float, duration_s: flo
 
     duration_s: of the reference, s; None for a reference without an end.
     """
-    robot = platform_dict(c.platform)
-    p, R = pose_arrays(c.platform.home)
-    return {
+    return robot_description(c) | {
         "name": c.name,
         "configuration": c.source,
         "log": str(log),
         "rate_Hz": rate_Hz,
-        "bus": f"{c.bus.interface}:{c.bus.channel}",
+        "buses": [
+            f"{bus.interface}:{bus.channel}" + f", legs {', '.join(map(str, legs))}" * (len(c.bus.buses) > 1)
+            for bus, legs in zip(c.bus.buses, c.bus.legs, strict=True)
+        ],
         "law": c.controller.law,
+        "key_needed": c.operator.deadman_s is not None,
+        "stale_fault_ticks": c.limits.stale_fault_ticks,
+        "reference_s": duration_s,
+    }
+
+
+def robot_description(c: Configuration) -> dict[str, Any]:
+    """Geometry (joints (6, 3) m, home p (3,) m and R (9,)) and limits for the picture in 3D."""
+    robot, platform = platform_dict(c.platform), c.platform
+    p, R = pose_arrays(platform.home)
+    limits = ("length_min_m", "length_max_m", "base_joint_angle_max_deg", "platform_joint_angle_max_deg")
+    return {
         "base": [[float(x) for x in joint] for joint in robot["base_joints"]],
         "platform": [[float(x) for x in joint] for joint in robot["platform_joints"]],
         "home_p": p.tolist(),
         "home_R": R.ravel().tolist(),
-        "length_min_m": c.platform.length_min_m,
-        "length_max_m": c.platform.length_max_m,
+        **{name: getattr(platform, name) for name in (*limits, "base_joint_axes", "platform_joint_axes")},
         "force_limit_N": min(c.limits.force_N, c.drives.force_limit_N),
-        "stale_fault_ticks": c.limits.stale_fault_ticks,
-        "reference_s": duration_s,
     }
 
 
@@ -99,6 +110,7 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
             "q": [x if h else None for x, h in zip(numbers(row["q"], 5), heard.tolist(), strict=True)],
             "margin": numbers(np.where(heard, 1e3 * left, np.nan), 2),
             "tau": numbers(row["tau"], 3),
+            "given": numbers(np.where(heard, row["drive_force"], np.nan), 3),
             "share": numbers(row["tau"] / limit, 4),
             "e": numbers(1e3 * (row["q_d"] - row["q"]), 4) if led else [None] * 6,
             "state": [_name("drive_state", x) for x in row["drive_state"]],
@@ -107,12 +119,28 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
             "marked": _marked(row, about),
         },
         "V": numbers(row["lyapunov_share"], 4)[0],
+        "bus": _name("bus_state", row["bus_state"]),
+        "off": [name for bus, name in enumerate(about["buses"]) if int(row["bus_off"]) >> bus & 1],
         "late": [round(int(x) * 1e-3, 1) for x in (row["lateness_ns"], figures["late_ns"])],
         "compute": [round(int(x) * 1e-3, 1) for x in (row["compute_ns"], figures["compute_ns"])],
         **{name: int(figures[name]) for name in ("ticks", "stale", "skipped", "dropped", "waiting")},
         "capacity": int(figures["capacity"]),
         "log_bytes": int(figures["log_bytes"]),
     }
+
+
+def curves(rows: Rows, rate_Hz: float) -> dict[str, list[Any]]:
+    """Samples of the curves of the live page from kept rows (n,): time, s, and values of each curve."""
+    led = np.isin(rows["mode"], _FOLLOWS)[:, None]
+    unknown = np.full(len(rows), np.nan)  # the worst of a second is of all rows
+    found = {
+        "tau": rows["tau"],
+        "e": np.where(led, 1e3 * (rows["q_d"] - rows["q"]), np.nan),
+        "given": np.where(rows["age"] < NEVER, rows["drive_force"], np.nan),
+        "late": np.stack((1e-3 * rows["lateness_ns"], unknown, 1e-3 * rows["compute_ns"]), axis=1),
+    }
+    shown = {name: [numbers(x, 4) for x in values] for name, values in found.items()}
+    return {"t": numbers(rows["tick"] / rate_Hz, 4)} | shown
 
 
 def _posed(p: ArrayLike, R: ArrayLike) -> bool:

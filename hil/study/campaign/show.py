@@ -11,6 +11,7 @@ from hil.app.files import write_whole
 from hil.study.campaign.figures import METRICS
 from hil.study.campaign.plan import Plan
 from hil.study.campaign.rates import HEAD, by_value, causes, shown, why, worst
+from hil.study.campaign.scatter import plots
 from hil.study.junit import Verdict
 from hil.study.report.page import document, table, tag
 from hil.study.table import Column, print_rows
@@ -94,12 +95,14 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
             for name, axis in plan.settings.axes.items()
         ),
         tag("p", "Wilson's interval assumes independent rows.", class_="note"),
+        tag("h2", "Figures over the swept values"),
+        *plots(list(plan.settings.axes), summary["matrix"]),
     ]
     if summary["failed"]:
         lines = worst_lines(plan, summary, folder, WORST_ON_PAGE)
         worst = tag("div", tag("pre", "\n".join(lines)), class_="scroll", tabindex=0)
         body += [tag("h2", "Worst rows"), worst]
-    text = document(f"Campaign {plan.name}", [tag("main", *body)], ("report.css",))
+    text = document(f"Campaign {plan.name}", [tag("main", *body)], ("page.css",))
     try:
         write_whole(path, text)
     except OSError as error:

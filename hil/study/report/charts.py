@@ -10,7 +10,8 @@ from drivers.signals import Mode
 from drivers.tick_columns import COLUMNS, RECORDED
 from hil.app.configuration.configuration import Configuration
 from hil.record.metrics import rotation_errors
-from hil.study.log_columns import TIMES, has_pose, plots
+from hil.study.log_columns import TIMES, Plot, has_pose, plots
+from hil.study.log_columns import Curve as LogCurve
 from hil.study.report.story import mode_name
 from hil.study.report.timing import Traffic
 
@@ -18,6 +19,20 @@ FLAGS = ("faults", "warnings", "foreign", "setpoint_refusal")
 """Columns of flags; each bit that is ever set has its own line."""
 MODES = "Modes, faults and warnings"
 DOTTED = ("p_d", "q_d", "dq_d", "drive_force", "lyapunov_bound")
+WORDS = {
+    "tau": "sent",
+    "drive_force": "reported by the drive",
+    **dict.fromkeys(("q_d", "dq_d", "p_d"), "reference"),
+    **dict.fromkeys(("q", "dq", "p"), "measured"),
+    "lyapunov": "V, energy of the tracking error",
+    "lyapunov_bound": "largest V that the certificate allows",
+    "lyapunov_share": "error, of its certified limit",
+    "encoder_share": "length against rate",
+    "sensor_share": "sensor",
+    "lateness_ns": "wake-up late by",
+    "compute_ns": "computing time",
+}
+"""Column -> its name in the legend of a chart."""
 
 
 class Curve(NamedTuple):
@@ -28,6 +43,8 @@ class Curve(NamedTuple):
     """(n,) in the chart's unit; NaN: a gap."""
     kind: str = "line"
     """`line`, `dotted`, `steps`, or `area`: steps filled down to the next lower integer."""
+    hue: int | None = None
+    """Number of the colour, the same for all curves of a leg or axis; default: the place in the chart."""
 
 
 class Chart(NamedTuple):
@@ -42,17 +59,24 @@ class Chart(NamedTuple):
     """Limits, as horizontal lines."""
     names: tuple[tuple[float, str], ...] = ()
     """Names of values on the axis."""
+    columns: str = ""
+    """Columns of the log that are drawn."""
 
 
 def charts(rows: Rows, c: Configuration | None, traffic: Traffic, rate_Hz: float) -> list[Chart]:
     """Charts of a run for the report page, without those that have no data. rows (n,) has dtype ROW."""
-    follows = (rows["mode"] >= Mode.RELEASING) & (rows["mode"] <= Mode.PARKING)
-    return [
-        *_columns(rows, follows, _levels(c, rate_Hz)),
-        *_rotation(rows, follows),
-        *_bus(traffic, rate_Hz),
-        *_modes(rows),
-    ]
+    return [*columns_over_time(rows, c, rate_Hz), *_bus(traffic, rate_Hz), *_modes(rows)]
+
+
+def columns_over_time(rows: Rows, c: Configuration | None, rate_Hz: float) -> list[Chart]:
+    """Charts of the columns and of the rotation error, without those that have no data."""
+    follows = followed(rows)
+    return [*_columns(rows, follows, _levels(c, rate_Hz)), *_rotation(rows, follows)]
+
+
+def followed(rows: Rows) -> Flags:
+    """Mask (n,) of the ticks in which the platform follows a reference."""
+    return (rows["mode"] >= Mode.RELEASING) & (rows["mode"] <= Mode.PARKING)
 
 
 def _levels(c: Configuration | None, rate_Hz: float) -> dict[str, Sequence[float]]:
@@ -86,11 +110,23 @@ def _columns(rows: Rows, follows: Flags, levels: dict[str, Sequence[float]]) -> 
                 unit, factor = f"m{unit}", 1e3
             kind = "dotted" if name in DOTTED and not curve.less else "line"
             values = np.where(where, factor * curve.of(rows), np.nan)
-            by_unit.setdefault(unit, []).append(Curve(curve.label, values, kind))
+            hue = curve.part.element if curve.part.column.size > 1 else None
+            made = Curve(_label(curve, plot), values, kind, hue)
+            by_unit.setdefault(unit, []).append(made)
         for unit, curves in by_unit.items():
             if any(np.any(np.isfinite(each.values) & (each.values != 0.0)) for each in curves):
-                level = levels.get(plot.title, ())
-                yield Chart(f"{plot.title} [{unit}]", plot.tab, plot.title, unit, tuple(curves), level)
+                key, level = f"{plot.title} [{unit}]", levels.get(plot.title, ())
+                columns = ", ".join(dict.fromkeys(each.columns for each in plot.curves))
+                yield Chart(key, plot.tab, plot.title, unit, tuple(curves), level, columns=columns)
+
+
+def _label(curve: LogCurve, plot: Plot) -> str:
+    """Name of a curve in the legend: `leg 3`, or `leg 3, sent` in a plot of several columns."""
+    part = curve.part
+    element = part.label.partition(".")[2].replace("_", " ")
+    alone = len({each.part.column.name for each in plot.curves}) == 1
+    word = WORDS.get(part.column.name, part.column.name)
+    return ", ".join(filter(None, (element, "" if alone and element else word)))
 
 
 def _rotation(rows: Rows, follows: Flags) -> Iterator[Chart]:

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,29 +23,38 @@ from hil.record.schema import IDENTITY
 from hil.study.log_columns import seconds
 from hil.study.report import sections
 from hil.study.report.charts import MODES, Chart, charts
+from hil.study.report.comparison import Side, comparison
 from hil.study.report.margins import margins
 from hil.study.report.page import Html, asset, drawn, figure, page, scene, tag
 from hil.study.report.story import Failure, failure_of
 from hil.study.report.timing import counts, spreads, traffic
 
 
-def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[str, Any]:
-    """Write the HTML page about the run in a log; return the summary.
+class _Run(NamedTuple):
+    """Run of a log, as far as it can be read."""
+
+    path: Path
+    found: Readable
+    c: Configuration | None
+    why_not: str
+    """Why there is no configuration."""
+    story: Failure
+    rate_Hz: float
+
+
+def report(
+    path: Path, other: Path | None = None, *, out: Path | None = None, force: bool = False
+) -> dict[str, Any]:
+    """Write the HTML page about the run in a log, or about two runs side by side; return the summary.
 
     Raises LogError: not a log of `hil run` or `hil sim`, columns of another version, no tick, or `out` exists
     and `force` is not set.
     """
     begun = time.perf_counter()
     target = new_file(path.with_suffix(".html") if out is None else out, force=force)
-    found = readable(path)
     with np.errstate(all="ignore"):  # a log may hold any number
-        rate_Hz = run_of(found.log, path, ["rate_Hz"])["rate_Hz"]
-        refuse_unread(found.log)
-        if not len(found.rows):
-            raise LogError("; ".join(filter(None, (f"{path}: has no tick to report", found.remark))))
-        c, why_not = _configuration(found.log)
-        story = failure_of(found.log.metadata, found.rows, rate_Hz)
-        text = _page(path, found, c, why_not, story, rate_Hz)
+        run, second = _read(path), None if other is None else _read(other)
+        text = _page(*run) if second is None else comparison(_side(run), _side(second))
     try:
         write_whole(target, text)
     except OSError as error:
@@ -54,12 +63,29 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
         "success": True,
         "kind": "report",
         "log": str(path),
-        "remark": "; ".join(filter(None, (found.remark, why_not))) or None,
-        "went_wrong": story.headline or None,
+        "remark": "; ".join(filter(None, (run.found.remark, run.why_not))) or None,
+        "went_wrong": run.story.headline or None,
         "size_MB": len(text.encode()) * 1e-6,
         "wall_s": time.perf_counter() - begun,
         "page": str(target),
     }
+
+
+def _read(path: Path) -> _Run:
+    found = readable(path)
+    rate_Hz = run_of(found.log, path, ["rate_Hz"])["rate_Hz"]
+    refuse_unread(found.log)
+    if not len(found.rows):
+        raise LogError("; ".join(filter(None, (f"{path}: has no tick to report", found.remark))))
+    c, why_not = _configuration(found.log)
+    return _Run(path, found, c, why_not, failure_of(found.log.metadata, found.rows, rate_Hz), rate_Hz)
+
+
+def _side(run: _Run) -> Side:
+    log, rows, remark = run.found
+    title = _subtitle(log, rows, run.c, run.rate_Hz)
+    verdict = "; ".join(filter(None, (run.story.headline, remark)))
+    return Side(printable(run.path.name), title, verdict, rows, run.c, run.rate_Hz)
 
 
 def _configuration(log: Log) -> tuple[Configuration | None, str]:
@@ -92,7 +118,8 @@ def _page(
         sections.timing(log, spreads(rows, bus.answered_ns), counts(rows), stood),
         sections.figures(figure_rows(figures(rows))),
     ]
-    data = {"charts": drawn(shown, t), "scene": moving, "end": float(t[-1])}
+    first = [each.time_s for each in story.findings if each.time_s is not None]
+    data = {"charts": drawn(shown, t), "scene": moving, "end": float(t[-1]), "start": min(first, default=0.0)}
     return page(f"{name}: {story.headline or 'report'}", body, data)
 
 
@@ -111,12 +138,15 @@ def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> 
 def _curves(shown: Sequence[Chart], t: Array, modes: Sequence[Html]) -> list[Html]:
     """Sections of the page with charts, in their order; the tables of modes follow the charts of modes."""
     hint = (
-        "Drag to zoom, double click to see all; with the keyboard: arrows move the cursor, + and - zoom, "
-        "Shift with arrows pans, 0 shows all. All curves share one time axis. Errors are reference "
-        "minus measurement, while a reference is followed."
+        "All curves share one time axis. Drag to zoom, double click to see all. Arrows move the cursor, "
+        "+ and - zoom, Shift with arrows pans, 0 shows all. A name below a chart shows or hides its curve. "
+        "CSV and PNG download what is in view. Errors are reference minus measurement."
     )
-    made = [tag("p", hint, class_="note")]
-    for name in dict.fromkeys(chart.section for chart in shown):
+    made = []
+    for n, name in enumerate(dict.fromkeys(chart.section for chart in shown)):
         figures = [figure(chart, t) for chart in shown if chart.section == name]
-        made.append(tag("section", tag("h2", name), *figures, *(modes if name == MODES else ())))
+        note = [tag("p", hint, class_="note")] * (n == 0)
+        curves = tag("div", *figures, class_="curves")
+        more = modes if name == MODES else ()
+        made.append(tag("section", tag("h2", name), *note, curves, *more, id=f"curves-{n}"))
     return made

@@ -8,6 +8,7 @@ import base64
 import hashlib
 import importlib.resources
 import json
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
@@ -17,18 +18,18 @@ from numpy.typing import ArrayLike
 
 from drivers.arrays import Array, Rows
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import platform_dict
+from hil.app.watch.state import robot_description
 from hil.study.log_columns import has_pose, titled
-from hil.study.report.charts import Chart
+from hil.study.report.charts import Chart, followed
 
-STYLES = ("uPlot.min.css", "report.css")
-SCRIPTS = ("uPlot.iife.min.js", "scene.js", "report.js")
+STYLES = ("uPlot.min.css", "page.css")
+SCRIPTS = ("uPlot.iife.min.js", "charts.js", "scene.js", "report.js")
 LICENCE = "uPlot-LICENSE.txt"
 BINS = 2000
 """Bins of a thinned curve, more than a screen has pixels across."""
 FRAMES = 1500
 """Largest number of poses; the page interpolates between them."""
-SHARED = {"scene.js", "uPlot.iife.min.js", "uPlot.min.css", LICENCE}
+SHARED = {"page.css", "charts.js", "scene.js", "uPlot.iife.min.js", "uPlot.min.css", LICENCE}
 
 
 class Html(str):
@@ -62,8 +63,14 @@ def prose(text: str) -> Html:
 
 def table(head: Iterable[object], rows: Iterable[Iterable[object]], caption: str = "") -> Html:
     """HTML table in a scrolling box; the first cell of each row is its heading."""
+    _, *names = head = list(head)  # a narrow screen shows the name beside each value
     lines = [
-        tag("tr", tag("th", first, scope="row"), *(tag("td", cell) for cell in rest)) for first, *rest in rows
+        tag(
+            "tr",
+            tag("th", first, scope="row"),
+            *(tag("td", x, data_label=n) for n, x in zip(names, rest, strict=True)),
+        )
+        for first, *rest in rows
     ]
     top = tag("thead", tag("tr", *(tag("th", cell, scope="col") for cell in head)))
     title = [tag("caption", caption)] if caption else []
@@ -83,7 +90,16 @@ def page(title: str, body: Sequence[Html], data: dict[str, Any]) -> str:
     )
     numbers = tag("script", Html(as_script(data)), type="application/json", id="data")
     scripts = [asset(name) for name in SCRIPTS]
-    return document(title, [tag("main", *body), tag("footer", licence), numbers], STYLES, scripts)
+    main = tag("main", *body, class_="page")
+    beside = tag("div", contents(main), main, class_="beside")
+    return document(title, [beside, tag("footer", licence), numbers], STYLES, scripts)
+
+
+def contents(main: Html) -> Html:
+    """Table of contents: links to the sections of a page that have a heading."""
+    found = re.findall(r'<section id="([^"]*)">\s*<h2>(.*?)</h2>', main)
+    links = (tag("a", Html(title), href=f"#{key}") for key, title in found)
+    return tag("nav", *links, class_="contents", aria_label="contents")
 
 
 def document(title: str, body: Sequence[Html], styles: Sequence[str], scripts: Sequence[str] = ()) -> str:
@@ -125,7 +141,9 @@ def drawn(charts: Sequence[Chart], t: Array) -> list[dict[str, Any]]:
 def figure(chart: Chart, t: Array) -> Html:
     """HTML of a chart's place, with a table of its curves' extremes for readers who cannot see it."""
     title = titled(chart.title, chart.unit)
-    caption, named = tag("figcaption", title), {"data_key": chart.key, "aria_label": title}
+    columns = [" ", tag("code", chart.columns)] if chart.columns else []
+    caption = tag("figcaption", tag("span", title, *columns))
+    named = {"data_key": chart.key, "aria_label": title}
     place = tag("div", class_="chart", tabindex=0, role="application", **named)
     if chart.names:
         return tag("figure", caption, place)
@@ -181,12 +199,14 @@ def scene(rows: Rows, t: Array, c: Configuration) -> dict[str, Any] | None:
     if not len(posed):
         return None
     kept = posed[np.unique(np.linspace(0, len(posed) - 1, FRAMES).astype(np.int64))]
-    robot = platform_dict(c.platform)
-    limit = min(c.limits.force_N, c.drives.force_limit_N)
-    return {
-        "base": np.asarray(robot["base_joints"], np.float64).tolist(),
-        "platform": np.asarray(robot["platform_joints"], np.float64).tolist(),
+    robot = robot_description(c)
+    led = followed(rows)[kept][:, None]
+    return robot | {
         "t": packed(t[kept]),
-        **{name: packed(rows[name][kept]) for name in ("p", "R", "p_d", "R_d")},
-        "load": packed(rows["tau"][kept] / limit),
+        **{name: packed(rows[name][kept]) for name in ("p", "R")},
+        **{
+            name: packed(np.where(led, rows[name][kept].reshape(len(kept), -1), 0.0))
+            for name in ("p_d", "R_d")
+        },
+        "load": packed(rows["tau"][kept] / robot["force_limit_N"]),
     }

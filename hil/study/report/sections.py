@@ -7,6 +7,7 @@ import numpy as np
 
 from drivers.arrays import Array, Ints, Rows
 from drivers.signals import Mode
+from hil.app.output import number
 from hil.record.log import Event, Log
 from hil.record.schema import ENVIRONMENT, SUMMARY
 from hil.study.report.charts import lanes
@@ -29,15 +30,28 @@ def opening(failure: Failure, rows: Rows, remark: str) -> Html:
     """First section of the page: whether the run ended well, and which part of the log is missing."""
     mode = mode_name(int(rows["mode"][-1]))
     if failure.headline:
-        kind, text = "bad", f"Went wrong: {failure.headline}"
+        kind, text = "bad", f"Went wrong: {failure.headline}{_where(failure)}"
     elif mode == Mode.PARKED.name and not remark:
         kind, text = "good", "Parked without a fault"
+        tracking = rows[rows["mode"] == Mode.TRACKING]
+        if len(tracking):
+            error_mm = 1e3 * float(np.abs(tracking["q_d"] - tracking["q"]).max())
+            text += f", peak leg error {number(error_mm)} mm while tracking"
     else:
         kind, text = "open", f"No fault in this log; it ends in {mode}"
     lines = [tag("p", text, class_=f"verdict {kind}", role="status")]
     if remark:
         lines.append(tag("p", f"This page shows the readable part of the log: {remark}.", class_="remark"))
     return tag("section", *lines, id="verdict")
+
+
+def _where(failure: Failure) -> str:
+    """Leg and time of the first fault, for the headline."""
+    first = next(iter(failure.findings), None)
+    if first is None:
+        return ""
+    leg = "" if first.leg is None else f" on leg {first.leg}"
+    return leg + ("" if first.time_s is None else f" at {first.time_s:.3f} s")
 
 
 def what_went_wrong(failure: Failure) -> Html:
@@ -86,7 +100,8 @@ def _used(percent: float) -> Html:
 
 def figures(values: Sequence[tuple[str, str]]) -> Html:
     """Section with a table of the run's figures: names and values."""
-    return tag("section", tag("h2", "The run"), table(("figure", "value"), values), id="figures")
+    shown = ((name.replace(" ", "\u2003", len(name) - len(name.lstrip())), value) for name, value in values)
+    return tag("section", tag("h2", "Figures of the run"), table(("figure", "value"), shown), id="figures")
 
 
 def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
@@ -123,7 +138,7 @@ def timing(
     stood: Sequence[tuple[str, str]],
 ) -> Html:
     """Section about timing: percentiles, counts, pauses of the bench's time, and the machine."""
-    parts: list[Html] = [tag("h2", "Timing certificate")]
+    parts: list[Html] = [tag("h2", "Timing and machine")]
     if log.lockstep:
         parts.append(
             tag("p", "Simulated time: wake-ups and computing time were not measured.", class_="note")

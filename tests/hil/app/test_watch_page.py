@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from drivers.signals import DriveFault, Fault, Mode
+from drivers.signals import DriveFault, DriveState, Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.record.log import Log
@@ -53,7 +53,7 @@ def test_live_page_shows_a_run_without_script_errors_or_requests_to_other_hosts(
         assert browser.value("document.querySelectorAll('#events b').length") == 0, "texts are no HTML"
         assert browser.value("document.getElementById('estop').hidden"), "this configuration does not operate"
         counts = browser.value("[...document.querySelectorAll('.chart')].map((c) => c.plot.data[1].length)")
-        assert len(counts) == 3
+        assert len(counts) == 4
         assert min(counts) > 10
         assert browser.errors == []
         assert {url.partition("?")[0].rpartition("/")[0] for url in browser.requests} == {watch.base}
@@ -76,6 +76,46 @@ def test_live_page_lists_faults_by_name_and_marks_their_legs(rows, watch):
         assert browser.value("document.querySelectorAll('#legs tbody tr')[1].cells[3].textContent") == "–"
         assert "drives are off" in text(browser, "waits")
         assert browser.errors == []
+
+
+def test_live_page_shows_the_last_minute_from_before_it_was_opened(rows, watch):
+    with LiveRun(rows) as run, Browser() as browser:
+        end = time.monotonic() + 60.0
+        while run.shown < 150:
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        browser.go(watch.link)
+        until(browser, "watching.counts.drawn > 1")
+        t, force, reported = browser.value(
+            "['tau', 'tau', 'given'].map((name, k) => [...document.getElementById('plot-' + name).plot.data[k ? 3 : 0]])"
+        )
+    before = np.flatnonzero(np.asarray(t) < 1e-3 * rows["tick"][0] + 2.0)
+    assert len(before) > 20, "earlier than the page"
+    k = np.rint(1e3 * np.asarray(t)[before]).astype(int) - rows["tick"][0]
+    np.testing.assert_allclose(np.asarray(force, float)[before], rows["tau"][k, 2], atol=1e-3)
+    np.testing.assert_allclose(np.asarray(reported, float)[before], rows["drive_force"][k, 2], atol=1e-3)
+
+
+def test_live_page_tells_a_hold_without_key_from_tracking_and_greys_what_does_nothing(rows, operated):
+    still = rows[:1].copy()
+    still["drive_state"], still["drive_force"], still["tau"] = DriveState.READY, 0.0, 79.8
+    status = {"held": True, "key": "missing", "speed_percent": 100.0, "speed_now_percent": 0.0}
+    with LiveRun(still), Listening(status=status), Browser() as browser:
+        browser.go(operated.link)
+        until(
+            browser, "!document.getElementById('held').hidden && !document.getElementById('operating').hidden"
+        )
+        assert text(browser, "mode-name") == "TRACKING"
+        assert text(browser, "held") == "on hold: the enabling key is not held"
+        cells = browser.value(
+            "[...document.querySelectorAll('#legs tbody tr')[0].cells].map((c) => c.textContent)"
+        )
+        assert cells[3:5] == ["79.8", "0.0"]
+        assert "READY" in cells[7]
+        grey = "[...document.querySelectorAll('[data-line]')].filter((b) => b.ariaDisabled === 'true').map((b) => b.dataset.line)"
+        until(browser, f"{grey}.length > 0")
+        assert browser.value(grey) == ["arm", "start", "hold", "park", "reset"]
+        assert browser.value("document.getElementById('key').ariaDisabled") == "false"
 
 
 @pytest.mark.long

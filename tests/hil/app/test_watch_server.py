@@ -15,7 +15,7 @@ from tests.live_run import Listening, LiveRun, Watch
 
 pytestmark = pytest.mark.usefixtures("meeting_place")
 ASSETS = (
-    "/", "/watch.css", "/watch.js", "/rolling.js", "/operate.js", "/scene.js", "/uPlot.iife.min.js", "/uPlot.min.css",
+    "/", "/page.css", "/watch.js", "/charts.js", "/operate.js", "/history.js", "/scene.js", "/uPlot.iife.min.js", "/uPlot.min.css",
     "/stream",
 )  # fmt: skip
 

@@ -45,7 +45,7 @@ def test_report_begins_with_leg_value_limit_time_reaction_and_advice_of_the_faul
     summary = report(logs / "bad.mcap", out=out)
     assert summary["went_wrong"] == "latched fault ENCODER"
     text = out.read_text()
-    opening = text[text.index("<main>") : text.index("Smallest margin")]
+    opening = text[text.index("<main") : text.index("<h2>Smallest margin")]
     for said in (
         "ENCODER",
         ">2.000<",

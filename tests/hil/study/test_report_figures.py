@@ -78,7 +78,7 @@ def test_errors_are_reference_minus_measurement_in_mm_or_mrad(page):
     assert 0 < follows.sum() < len(frame)
     matrix = [r + c for r in "xyz" for c in "xyz"]
     for name, parts, title in (("p", "xyz", "Position"), ("q", LEGS, "Leg")):
-        labels = [f"{name}_d.{part} - {name}.{part}" for part in parts]
+        labels = [part.replace("_", " ") for part in parts]
         error = 1e3 * (columns(frame, f"{name}_d", parts) - columns(frame, name, parts))
         expect(shown[f"{title} error [mm]"], labels, error, follows)
     R, R_d = (
@@ -95,26 +95,29 @@ def test_errors_are_reference_minus_measurement_in_mm_or_mrad(page):
     ("key", "names", "levels"),
     [
         # 25 kN of the controller, 30 kN of the drives
-        ("Leg force [N]", ("tau", "drive_force"), [-25000.0, 25000.0]),
-        ("Leg length [m]", ("q",), [0.75, 2.2]),
-        ("Leg rate [m/s]", ("dq",), [-2.0, 2.0]),
-        ("Position [m]", ("p",), []),
-        ("Lyapunov function [(m/s^2)^2]", ("lyapunov", "lyapunov_bound"), []),
-        ("Share [1]", ("lyapunov_share",), [1.0]),
+        ("Leg force [N]", {"tau": "sent", "drive_force": "reported by the drive"}, [-25000.0, 25000.0]),
+        ("Leg length [m]", {"q": "measured"}, [0.75, 2.2]),
+        ("Leg rate [m/s]", {"dq": "measured"}, [-2.0, 2.0]),
+        ("Position [m]", {"p": "measured"}, []),
+        ("Lyapunov function [(m/s^2)^2]", {"lyapunov": "V, energy of the tracking error"}, []),
+        ("Share [1]", {"lyapunov_share": "error, of its certified limit"}, [1.0]),
     ],
 )
 def test_a_chart_has_the_columns_of_the_log_and_the_limits(page, key, names, levels):
     shown, _, frame, _ = page
     assert shown[key]["levels"] == levels
-    for name in names:
-        labels = [label for label in frame if label == name or label.startswith(f"{name}.")]
-        expect(shown[key], labels, frame[labels].to_numpy())
+    for name, word in names.items():
+        there = [label for label in frame if label == name or label.startswith(f"{name}.")]
+        elements = [label.partition(".")[2].replace("_", " ") for label in there]
+        labels = [f"{element}, {word}" if element else word for element in elements]
+        expect(shown[key], labels, frame[there].to_numpy())
+        assert name in shown[key]["columns"].split(", ")
 
 
 def test_references_are_dotted_and_modes_are_labelled_by_name(page):
     shown, _, frame, _ = page
     kinds = {c["label"]: c["kind"] for c in shown["Leg length [m]"]["curves"]}
-    assert (kinds["q_d.leg_3"], kinds["q.leg_3"]) == ("dotted", "line")
+    assert (kinds["leg 3, reference"], kinds["leg 3, measured"]) == ("dotted", "line")
     names = dict(shown["mode"]["names"])
     named = [names[value] for value in curves(shown["mode"])["mode"].tolist()]
     assert named == [Mode(mode).name for mode in frame["mode"].tolist()]
@@ -159,7 +162,7 @@ def test_force_and_moment_of_a_wrench_have_separate_charts():
         ("Load on the platform [N m]", "N m", ["mx", "my", "mz"], [40.0, 50.0, -60.0]),
     ):
         assert shown[key].unit == unit
-        assert [c.label for c in shown[key].curves] == [f"wrench.{label}" for label in labels]
+        assert [c.label for c in shown[key].curves] == labels
         assert [c.values[0] for c in shown[key].curves] == pytest.approx(values)
 
 

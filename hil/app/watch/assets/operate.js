@@ -105,6 +105,23 @@
     at("jogs").append(box);
   });
 
+  /* Commands that do nothing in the present mode are greyed. They are sent all the same, as the controller decides. */
+  const moves = (s) => s.mode === "TRACKING" || s.mode === "APPROACH", onHold = (s) => Boolean(s.said && s.said.held);
+  const keyed = (s) => !s.said || s.said.key !== "missing";
+  const DOES = {
+    arm: (s) => s.mode === "IDLE",
+    start: (s) => onHold(s) && keyed(s),
+    hold: (s) => (moves(s) || s.mode === "STOPPING") && !onHold(s),
+    park: (s) => (moves(s) || onHold(s)) && keyed(s),
+    stop: (s) => !["STOPPING", "PARKING", "UNLOADING", "PARKED", "FAULT", "HELD"].includes(s.mode),
+    reset: (s) => ["FAULT", "WAITING", "PARKED"].includes(s.mode),
+    key: (s) => !s.said || s.said.key !== "not needed",
+    jog: (s) => s.mode === "TRACKING" && onHold(s),
+  };
+  watching.on("state", (s) => document.querySelectorAll("[data-line], #key, #jogs button").forEach((button) => {
+    const does = String(!DOES[button.dataset.line || (button.id === "key" ? "key" : "jog")](s));
+    if (button.getAttribute("aria-disabled") !== does) button.setAttribute("aria-disabled", does);
+  }));
   watching.on("may", ({ operate, allowed }) => {
     document.querySelectorAll(".operate").forEach((each) => { each.hidden = !operate; });
     at("read-only").hidden = operate || !allowed;

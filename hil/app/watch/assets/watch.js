@@ -1,31 +1,34 @@
 "use strict";
 /* Shows the state of a run from the server. Texts are inserted as text, never as HTML. */
 const watching = (() => {
-  const STALE_S = 0.5, PLOT_MS = 100;
+  const STALE_S = 0.5, PLOT_MS = 100, SPAN_S = 60;
   const at = (id) => document.getElementById(id);
   const put = (node, text) => { if (node.textContent !== text) node.textContent = text; };
   const show = (y, digits) => (y === null || y === undefined ? "–" : y.toFixed(digits));
-  const listeners = { lost: [], said: [], may: [] };
+  const listeners = { lost: [], said: [], may: [], state: [], began: [] };
   const tell = (name, what) => listeners[name].forEach((each) => each(what));
-  let about = {}, last = null, dirty = false, heardAt = -Infinity, connected = false, view = null, plotted = 0;
+  let about = {}, last = null, dirty = false, heardAt = -Infinity, connected = false, view = null, plotted = 0, walked = null;
   const counts = { states: 0, drawn: 0 };
   if (location.search) history.replaceState(null, "", "/");  // keeps the token out of history and screenshots
 
+  const legNames = [0, 1, 2, 3, 4, 5].map((i) => "leg " + i);
   const curves = {
-    tau: makeRolling(at("plot-tau"), [0, 1, 2, 3, 4, 5].map((i) => "leg " + i), []),
-    e: makeRolling(at("plot-e"), [0, 1, 2, 3, 4, 5].map((i) => "leg " + i), []),
-    late: makeRolling(at("plot-late"), ["late", "worst of 1 s", "step"], []),
+    tau: charts.rolling(at("plot-tau"), "leg force sent", "N", legNames, SPAN_S),
+    e: charts.rolling(at("plot-e"), "leg error", "mm", legNames, SPAN_S),
+    given: charts.rolling(at("plot-given"), "force reported by the drive", "N", legNames, SPAN_S),
+    late: charts.rolling(at("plot-late"), "wake-up", "µs", ["late", "worst of 1 s", "computing"], SPAN_S),
   };
 
+  const COLUMNS = { q: "length [m]", margin: "to stroke end [mm]", tau: "force sent [N]", given: "drive reports [N]", share: "of limit",
+    e: "error [mm]", drive: "drive", age: "age [ticks]" };
+  Object.entries(COLUMNS).forEach(([name, text]) => at("legs").tHead.rows[0].append(
+    Object.assign(charts.element("th", text.replace(" [", "\n["), name === "drive" ? "word" : ""), { scope: "col" })));
   const legCells = [0, 1, 2, 3, 4, 5].map((leg) => {
-    const line = document.createElement("tr"), head = document.createElement("th");
-    head.scope = "row";
-    head.textContent = String(leg);
-    line.append(head);
-    const cells = {};
-    ["q", "margin", "tau", "share", "e", "drive", "age"].forEach((name) => {
-      cells[name] = document.createElement("td");
-      if (name === "drive") cells[name].className = "word";
+    const line = charts.element("tr"), cells = {};
+    line.append(Object.assign(charts.element("th", String(leg)), { scope: "row" }));
+    Object.entries(COLUMNS).forEach(([name, text]) => {
+      cells[name] = charts.element("td", "", name === "drive" ? "word" : "");
+      cells[name].dataset.label = text;
       line.append(cells[name]);
     });
     cells.meter = document.createElement("meter");
@@ -39,10 +42,14 @@ const watching = (() => {
     return cells;
   });
   const poseCells = Array.from(at("pose").tBodies[0].rows, (line) =>
-    [0, 1, 2, 3, 4, 5].map(() => line.appendChild(document.createElement("td"))));
+    ["x", "y", "z", "rx", "ry", "rz"].map((name) => {
+      const cell = line.appendChild(document.createElement("td"));
+      cell.dataset.label = name;
+      return cell;
+    }));
   const figureCells = {};
   [["wake", "wake-up late, now and worst of the last second"], ["step", "computing time, now and worst"], ["stale", "ticks with stale feedback"],
-    ["skipped", "periods skipped"], ["V", "share of the certificate's limit"], ["tick", "tick, at the rate"],
+    ["skipped", "periods skipped"], ["bus", "buses"], ["V", "tracking error, share of its certified limit"], ["tick", "tick, at the rate"],
     ["dropped", "ticks lost by the recorder"], ["waiting", "ticks waiting in the ring"], ["log", "log"], ["file", "file"]]
     .forEach(([name, label]) => {
       const term = document.createElement("dt"), value = document.createElement("dd");
@@ -57,38 +64,43 @@ const watching = (() => {
   source.addEventListener("error", () => { connected = false; tell("lost"); });
   source.addEventListener("hello", (e) => tell("may", JSON.parse(e.data)));
   source.addEventListener("about", (e) => begin(JSON.parse(e.data)));
+  source.addEventListener("past", (e) => {
+    const past = JSON.parse(e.data);
+    past.t.forEach((t, k) => Object.entries(curves).forEach(([name, each]) => each.push(t, past[name][k])));
+  });
   source.addEventListener("events", (e) => showEvents(JSON.parse(e.data)));
   source.addEventListener("state", (e) => {
     last = JSON.parse(e.data);
     heardAt = performance.now() - 1e3 * last.age;
     counts.states += 1;
     dirty = true;
-    if (!about.name && about.name !== "") return;
-    const t = last.tick / about.rate_Hz;
-    curves.tau.push(t, last.legs.tau);
-    curves.e.push(t, last.legs.e);
-    curves.late.push(t, [last.late[0], last.late[1], last.compute[0]]);
+    if (!about.base) return;
+    const t = last.tick / about.rate_Hz, late = [last.late[0], last.late[1], last.compute[0]];
+    Object.entries({ tau: last.legs.tau, e: last.legs.e, given: last.legs.given, late }).forEach(([name, y]) => curves[name].push(t, y));
+    if (!walked || last.path !== walked.path || last.mode !== walked.mode) walked = { path: last.path, mode: last.mode, t };
+    last.stands = ["TRACKING", "APPROACH"].includes(last.mode) && t - walked.t > 0.25 && !(last.path >= about.reference_s);
     tell("said", last.said);
+    tell("state", last);
   });
 
   function begin(given) {
     about = given;
-    last = null;
+    last = walked = null;
+    tell("began");
     heardAt = -Infinity;
     const known = "base" in given;
     put(at("name"), known ? given.name : "hil watch");
-    put(at("run"), known ? [given.law, given.rate_Hz + " Hz", given.bus].join(" · ") : given.trouble || "");
+    put(at("run"), known ? [given.law, given.rate_Hz + " Hz", given.buses.join(" and ")].join(" · ") : given.trouble || "");
     document.title = (known ? given.name + " – " : "") + "hil watch";
     if (!known) return;
     const limit = given.force_limit_N;
+    Object.values(curves).forEach((each) => each.clear([]));
     curves.tau.clear([-limit, limit]);
-    curves.e.clear([]);
-    curves.late.clear([]);
     put(figureCells.file, given.log.split("/").pop());
     const canvas = at("scene").cloneNode();  // without the listeners of the earlier run
     at("scene").replaceWith(canvas);
     const none = (n) => new Array(n).fill(0);
-    view = makeScene(canvas, { t: [0], base: given.base, platform: given.platform, p: given.home_p, R: given.home_R,
+    view = makeScene(canvas, { ...given, t: [0], p: given.home_p, R: given.home_R,
       p_d: none(3), R_d: none(9), load: none(6) }, (x) => Float64Array.from(x));
     view.draw();
   }
@@ -117,6 +129,10 @@ const watching = (() => {
     const s = last;
     put(at("mode-name"), s.mode);
     put(at("waits"), (s.said && s.said.waits_for) || s.waits);
+    const held = s.said ? s.said.held || (s.stands && s.said.speed_now_percent === 0) : s.stands;
+    at("held").hidden = !held;
+    put(at("held"), !held ? "" : s.said && s.said.key === "missing" ? "on hold: the enabling key is not held" :
+      s.said || !about.key_needed ? "on hold" : "on hold, or the enabling key is not held");
     const along = s.mode === "TRACKING" && about.reference_s;
     at("progress").hidden = !along;
     if (along) {
@@ -130,6 +146,8 @@ const watching = (() => {
       put(cells.q, show(legs.q[i], 4));
       put(cells.margin, show(legs.margin[i], 1));
       put(cells.tau, show(legs.tau[i], 1));
+      put(cells.given, show(legs.given[i], 1));
+      cells.tau.classList.toggle("soft", legs.given[i] !== null && Math.abs(legs.given[i]) < 0.1 * Math.abs(legs.tau[i]));
       const share = Math.abs(legs.share[i] || 0);
       cells.meter.value = Math.min(1, share);
       put(cells.percent, (100 * share).toFixed(0).padStart(3, "\u2007") + " %");
@@ -147,6 +165,7 @@ const watching = (() => {
     put(figureCells.step, us(s.compute));
     put(figureCells.stale, String(s.stale));
     put(figureCells.skipped, String(s.skipped));
+    put(figureCells.bus, about.buses.join("; ") + ": " + (s.off.length ? "OFF: " + s.off.join("; ") : s.bus.toLowerCase()));
     put(figureCells.V, show(s.V, 3));
     put(figureCells.tick, s.tick + ", " + about.rate_Hz + " Hz");
     put(figureCells.dropped, String(s.dropped));
@@ -155,7 +174,7 @@ const watching = (() => {
     if (view && s.posed) {
       const none = (n) => new Array(n).fill(0);
       view.place({ p: s.p, R: s.R, p_d: s.led ? s.p_d : none(3), R_d: s.led ? s.R_d : none(9),
-        load: s.legs.share, marks: s.legs.marked });
+        load: s.legs.given.map((force, i) => (force === null ? s.legs.share[i] : force / about.force_limit_N)), marks: s.legs.marked });
     }
     counts.drawn += 1;
   }

@@ -18,6 +18,11 @@ Name = Annotated[
     ),
 ]
 """Text, which YAML reads as a number where it is one: `channel: 0`."""
+UDP = "udp"
+"""Interface of a bus that carries the datagrams of motion capture, and nothing else."""
+POSE_ID = 0x100
+"""Identifier of such a datagram as a frame; its CRC counts it."""
+DATAGRAM_BYTES = 64
 MAX_BUSES = LEGS + 2
 """Each leg is on one bus; sensors may have buses of their own."""
 
@@ -115,7 +120,9 @@ class BusSettings(Section):
         if not self.channels:
             return (self,)
         own = [each.model_dump(exclude={"legs"}, exclude_none=True) for each in self.channels]
-        return tuple(BusSettings(**shared | each) for each in own)
+        whole = [shared | each for each in own]
+        fd = {"layout": "fd"}  # 64 bytes in one frame
+        return tuple(BusSettings(**each | (fd if each["interface"] == UDP else {})) for each in whole)
 
     @property
     def legs(self) -> tuple[tuple[int, ...], ...]:

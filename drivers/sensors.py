@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import FAILED, Callee, call, data_at, integers_at, pointed
-from drivers.config import BusSettings
+from drivers.config import UDP, BusSettings
 from drivers.errors import ConfigurationError, HilError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, sent_array, sent_frames
@@ -28,6 +28,7 @@ from drivers.sensing.layout import (
     IMU,
     INCLINATION,
     LENGTH,
+    OFFSET,
     ROW,
     SLOTS,
     STAMPED,
@@ -37,6 +38,7 @@ from drivers.sensing.layout import (
     Tables,
     no_sensors,
 )
+from drivers.sensing.mocap import MotionCapture
 from drivers.sensing.settings import SensorRole, SensorSettings
 from drivers.signals import LEGS
 
@@ -269,6 +271,11 @@ def _sensors(role: str, settings: SensorRole, bus: BusSettings, folder: Path) ->
             device = settings.device.device(wanted)
         except HilError as error:
             raise ConfigurationError(f"sensors.{role}.device.{error}") from error
+        if there.interface == UDP and not isinstance(settings.device, MotionCapture):
+            raise ConfigurationError(
+                f"sensors.{role}.channel: protocol {settings.device.protocol} on interface {UDP}, allowed "
+                "there: a tracker of protocol mocap"
+            )
         longest = max(device.messages, key=lambda each: each.flags & FD)
         if longest.flags & FD and there.layout == "classic":
             raise ConfigurationError(
@@ -287,6 +294,8 @@ def _tables(sensors: Iterable[Sensor]) -> Tables:
     for each in sensors:
         device, of = each.device, found.slots[each.slot : each.slot + 1]
         of["present"], of["parts"], of["timing"] = 1, (1 << len(device.messages)) - 1, device.timing
+        stamps = any(field.to == OFFSET for message in device.messages for field in message.fields)
+        of["clocked"] = stamps and device.timing == FREE
         of["latency_s"], of["gap_ns"] = device.latency_s + each.late_s, round(0.5e9 / each.rate_Hz)
         of["limit"], of["time_s"] = SIGMAS * np.array(each.std), SIGMAS * each.time_std_s
         of["patience_s"] = np.inf if device.changes else SILENT_SAMPLES / each.rate_Hz + device.latency_s

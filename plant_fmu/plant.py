@@ -105,6 +105,10 @@ class Plant(Protocol):
         """
         return None
 
+    def rod_force(self) -> Array | None:
+        """Forces (6,) N between drives and rods of the legs, as load cells measure; None: unknown."""
+        return None
+
     def notes(self) -> list[str]:
         """Warnings and other reports of the plant since it was opened, one sentence each."""
         return []

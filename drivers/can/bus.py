@@ -22,8 +22,9 @@ from drivers.can.localcan.participant import LOOK_S, Participant
 from drivers.can.python_can import open_python_can
 from drivers.can.runtime_folder import RoleLock
 from drivers.can.socketcan import SocketCan
+from drivers.can.udp import Udp
 from drivers.clock import MONOTONIC
-from drivers.config import BusSettings
+from drivers.config import UDP, BusSettings
 from drivers.errors import BusError
 from drivers.frame_array import joined
 from drivers.protocol import ERROR
@@ -85,7 +86,8 @@ class Bus(Source):
         """Open all configured buses.
 
         role: `controller` or `plant`; only one process of this machine holds a role on a channel (on
-        localcan: one process per runtime folder). All `localcan` channels share the clock of the first.
+        localcan: one process per runtime folder). All `localcan` and `udp` channels share the clock of the
+        first `localcan` one.
         Raises RunError if another process holds the role, BusError if a bus cannot be opened.
         """
         links: list[Link] = []
@@ -93,10 +95,13 @@ class Bus(Source):
             clock: BenchClock | None = None
             for each in settings.buses:
                 roles.callback(RoleLock(each.interface, each.channel, role).close)
-                link = _open(each, clock)
+                link = Udp(each, role) if each.interface == UDP else _open(each, clock)
                 opened.callback(link.close)
                 links.append(link)
                 clock = link.clock if isinstance(link, Participant) else clock
+            for link in links:
+                if isinstance(link, Udp):
+                    link.clock = clock or MONOTONIC
             opened.pop_all()
             return cls(links, roles.pop_all())
 

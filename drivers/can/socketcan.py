@@ -206,12 +206,9 @@ class SocketCan(Link):
             except OSError:
                 self._down = True
                 break
-            t_ns = time.time_ns()
+            t_ns = arrival(ancillary)
             for _, kind, value in ancillary:
-                if kind == _SO_TIMESTAMPNS:
-                    seconds, nanoseconds = _TIMESPEC.unpack(value[:16])
-                    t_ns = seconds * 1_000_000_000 + nanoseconds
-                elif kind == _SO_RXQ_OVFL:
+                if kind == _SO_RXQ_OVFL:
                     lost = int.from_bytes(value[:4], sys.byteorder)
                     self.overflow += (lost - self._kernel_lost) & 0xFFFFFFFF
                     self._kernel_lost = lost
@@ -294,6 +291,15 @@ class SocketCan(Link):
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+
+def arrival(ancillary: list[tuple[int, int, bytes]]) -> int:
+    """Time stamp of the kernel in the ancillary data of a message, else the present; ns of CLOCK_REALTIME."""
+    for _, kind, value in ancillary:
+        if kind == _SO_TIMESTAMPNS:
+            seconds, nanoseconds = _TIMESPEC.unpack(value[:16])
+            return int(seconds * 1_000_000_000 + nanoseconds)
+    return time.time_ns()
 
 
 def _real_to_monotonic() -> int:

@@ -7,9 +7,9 @@ from pydantic import Field
 
 from drivers.arrays import Array
 from drivers.config import Above0
+from drivers.rotations import turn
 from drivers.section import Section
 from drivers.sensing.layout import QUANTITIES
-from drivers.sensing.rotations import turn
 
 Three = tuple[float, float, float]
 Legs = tuple[float, float, float, float, float, float]

@@ -42,7 +42,7 @@ class Field(NamedTuple):
     """One field of a message: value = raw * scale + offset."""
 
     to: int
-    """Index of the quantity, or one of OFFSET, CYCLE, COUNTER, VALIDITY."""
+    """Index of the quantity, or one of OFFSET, CYCLE, COUNTER, VALIDITY, QUALITY."""
     start: int
     """Number of its lowest bit; with `big` of its highest one, both as in a DBC."""
     bits: int

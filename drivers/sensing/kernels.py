@@ -13,6 +13,7 @@ from drivers.frame_pointers import signed
 from drivers.legs.crc import check_of, intact
 from drivers.legs.kernels import natural, put
 from drivers.protocol import ERROR, EXTENDED, REMOTE
+from drivers.rotations import rotation_vector_kernel, times, turn
 from drivers.sensing.layout import (
     COUNTER,
     CYCLE,
@@ -38,11 +39,14 @@ from drivers.sensing.layout import (
     VALIDITY,
     WRENCH,
 )
-from drivers.sensing.rotations import rotation_vector_of, times, turn
 from drivers.signals import LEGS
 
 OLDEST = 127
 """Most ticks: Cycle counts to 255, and an older stamp looks like one in the future."""
+LATEST_S = 0.1
+"""A sample that took longer than the fastest one by more than this is refused."""
+DRIFT = 1e-4
+"""Largest difference of the rates of two clocks."""
 _HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
 rows_at, slots_at = records_at(record(ROW)), records_at(record(SLOT))
 _samples_at = records_at(record(SAMPLE))
@@ -200,8 +204,23 @@ def _place(of: Any, v: Array) -> None:
     R = turn(v[3:], of.target)
     for k in range(3):
         R[:, k] = times(of.frame, R[:, k])
-    v[3:] = rotation_vector_of(np.zeros(3), R)
+    v[3:] = rotation_vector_kernel(R)
     v[:3] -= times(R, of.lever)
+
+
+@helper
+def _delay(of: Any, lag_s: float) -> float:
+    """By how much longer than the fastest one a sample took, s; lag_s: its arrival less its stamp.
+
+    The least lag grows by DRIFT between samples, so it follows clocks that drift. After a sample that is late
+    by more than LATEST_S it begins with that one: the clock may have been set back.
+    """
+    least = of.lag_s + DRIFT * 2e-9 * of.gap_ns
+    if not lag_s > least:  # NaN before the first one
+        least = lag_s
+    late_s = lag_s - least
+    of.lag_s = lag_s if late_s > LATEST_S else least
+    return late_s  # type: ignore[no-any-return]
 
 
 @helper
@@ -219,7 +238,13 @@ def _end(s: Any, of: Any, slot: int, tick: int, offset_s: float, began_ns: int, 
         return False
     if of.placed:
         _place(of, values)
-    offset_s -= of.latency_s
+    late_s = of.latency_s
+    if of.clocked:
+        late_s += _delay(of, of.began_ns * 1e-9 - offset_s)
+        offset_s = 0.0
+        if late_s > of.latency_s + LATEST_S:
+            return False
+    offset_s -= late_s
     if of.timing == FREE:
         offset_s += (of.began_ns - latched_ns) * 1e-9
     elif of.timing == SYNCED and of.began_ns < began_ns:
@@ -237,7 +262,7 @@ def hear(s: Any, frames: Any, tick: int, began_ns: int, latched_ns: int) -> None
     that its node marks invalid does not count. The messages of one sample arrive within `gap_ns`, else the
     sample is dropped. Refused, and counted in `rejected`: wrong length or CRC, a stamp in the future, before
     tick 0 or more than OLDEST ticks back, an unknown validity, a rotation of more than pi, a value outside
-    its range. Foreign frames are ignored.
+    its range, and a stamp of its own clock that is late by more than LATEST_S. Foreign frames are ignored.
     """
     s.rejected = s.lost = 0
     slots, rows = slots_at(s.slots, SLOTS), rows_at(s.rows, s.size)
@@ -310,10 +335,11 @@ def put_sample(row: Any, v: Array, cycle: int, offset_s: float, counter: int, fr
             real = (bounded - row.offset[k]) / row.scale[k]
         elif to == OFFSET:
             real = np.rint(offset_s / row.scale[k])
-            if not 0 <= real < 1 << row.bits[k]:
+            if not 0.0 <= real < 2.0 ** row.bits[k]:
                 return FAILED
         else:
-            real = float(cycle if to == CYCLE else counter if to == COUNTER else invalid)
+            given = cycle if to == CYCLE else counter if to == COUNTER else invalid if to == VALIDITY else 0
+            real = float(given)
         bits = row.bits[k]
         if row.kind[k] != FLOAT:
             word[0] = np.int64(np.rint(real))

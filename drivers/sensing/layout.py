@@ -14,9 +14,10 @@ FORCE = LENGTH + LEGS
 SLOTS = FORCE + LEGS
 """A slot is one measurement: the pose, ..., the length of leg i in LENGTH + i, its force in FORCE + i."""
 QUANTITIES = 6
-OFFSET, CYCLE, COUNTER, VALIDITY = range(QUANTITIES, QUANTITIES + 4)
-"""Targets of a field after the quantities: time after SYNC and its Cycle, counter of samples, validity."""
-FIELDS = QUANTITIES + 4
+OFFSET, CYCLE, COUNTER, VALIDITY, QUALITY = range(QUANTITIES, QUANTITIES + 5)
+"""Targets of a field after the quantities: time after SYNC and its Cycle, counter of samples, validity, and a
+value that has to be in its range. With FREE, the time is that of the sensor's own clock."""
+FIELDS = QUANTITIES + 5
 UNSIGNED, SIGNED, FLOAT = range(3)
 """Kinds of a field; FLOAT has 32 or 64 bits."""
 STAMPED, SYNCED, FREE = range(3)
@@ -46,8 +47,9 @@ scale and offset; values outside low .. high are refused. A condition compares m
 the frame is another message (`selects`), else its sample is invalid."""
 SLOT = np.dtype(
     [
-        *((name, "<i8") for name in ("present", "parts", "timing", "mixes", "gap_ns")),
-        ("latency_s", "<f8"), ("mix", "<f8", (QUANTITIES, QUANTITIES)), ("shift", "<f8", (QUANTITIES,)),
+        *((name, "<i8") for name in ("present", "parts", "timing", "clocked", "mixes", "gap_ns")),
+        ("latency_s", "<f8"), ("lag_s", "<f8"),
+        ("mix", "<f8", (QUANTITIES, QUANTITIES)), ("shift", "<f8", (QUANTITIES,)),
         ("placed", "<i8"), ("frame", "<f8", (3, 3)), ("target", "<f8", (3, 3)), ("lever", "<f8", (3,)),
         ("limit", "<f8", (QUANTITIES,)), ("time_s", "<f8"), ("patience_s", "<f8"),
         *((name, "<i8") for name in ("got", "valid", "began_ns", "counter", "count", "last_tick")),
@@ -55,12 +57,13 @@ SLOT = np.dtype(
         ("compared", "<i8"), ("share", "<f8"), ("gap", "<f8", (QUANTITIES,)), ("mean", "<f8", (QUANTITIES,)),
     ]
 )  # fmt: skip
-"""A measurement. Table: bits of all its messages; STAMPED, SYNCED or FREE; longest time between the messages
-of one sample; if `mixes`, values = mix fields + shift; if `placed`, the orientation is that of
-frame (sensor) target and the position that of the point -lever of it; limits of the mean difference from the
-legs, inf for none; error of a sample's instant; age of a silent sensor. Reception: parts of the present
-sample, whether they are valid, its first frame; counter of the last frame; samples of this tick; the last
-sample; samples compared with the legs, share of the limit, the last difference, and the mean one."""
+"""A measurement. Table: bits of all its messages; STAMPED, SYNCED or FREE; with FREE, whether its frames
+carry the time of its own clock; longest time between the messages of one sample; if `mixes`, values = mix
+fields + shift; if `placed`, the orientation is that of frame (sensor) target and the position that of the
+point -lever of it; limits of the mean difference from the legs, inf for none; error of a sample's instant;
+age of a silent sensor. Reception: least time from a stamp of its clock to an arrival; parts of the sample,
+whether they are valid, its first frame; counter of the last frame; samples of this tick; the last sample;
+samples compared with the legs, share of the limit, the last difference, and the mean one."""
 SENSORS = np.dtype([(name, "<i8") for name in ("rows", "size", "slots", "samples", "rejected", "lost")])
 """Addresses of `size` elements of ROW, of SLOTS elements of SLOT and of (SLOTS, MOST) elements of SAMPLE; in
 this tick refused frames, and samples missing by their counters."""
@@ -96,7 +99,7 @@ class Reception(NamedTuple):
         """Back to the state before any frame."""
         self.compare_again()
         s = self.slots
-        s["counter"], s["last"], s["last_s"], s["got"] = NEVER, np.nan, -np.inf, 0
+        s["counter"], s["last"], s["last_s"], s["got"], s["lag_s"] = NEVER, np.nan, -np.inf, 0, np.nan
 
 
 def unheard(tables: Tables) -> Reception:

@@ -8,7 +8,7 @@ from typing import Literal
 
 from drivers.errors import ConfigurationError
 from drivers.sensing.family import Device, Field, Message, SensorFamily, Wanted
-from drivers.sensing.layout import FIELDS, QUANTITIES, SIGNED, STAMPED, UNSIGNED
+from drivers.sensing.layout import QUALITY, QUANTITIES, SIGNED, STAMPED, UNSIGNED
 
 _MESSAGES = {"tracker": ("TRACKER_7", 7), "imu": ("IMU_8", 8), "wrench": ("WRENCH_9", 9)}
 """Role -> message of sensors.dbc, and the node number in its identifier."""
@@ -33,7 +33,7 @@ class StampedSensors(SensorFamily):
                 to, start, bits, form.scale[to], 0.0, SIGNED if to < QUANTITIES else UNSIGNED,
                 low=form.low[to], high=form.high[to],
             )
-            for to, (start, bits) in enumerate(form.places[:FIELDS])
+            for to, (start, bits) in enumerate(form.places[:QUALITY])
         ]  # fmt: skip
         message = Message(
             form.id - own + wanted.node, form.length, tuple(fields), form.flags, exact=True, checked=True

@@ -38,7 +38,7 @@ from hil.control.law import LawContext
 from hil.control.model import build_model
 from hil.control.state_space import StateSpaceSettings
 from hil.design.stability.monitor import build_watch
-from hil.estimation.external_wrench import ExternalWrench
+from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.predictor import Predictor
 from hil.loop.admission import Admission, Steering
@@ -195,8 +195,14 @@ def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> E
     observer = None
     if settings.source == "observer":
         believed = settings.model or c.controller.believed or ModelSettings()
+        patience_s, cells = 0.0, c.sensors.forces
+        if settings.forces == "sensors" and cells is not None:
+            patience_s = SENSOR_PATIENCE / cells.rate_Hz + 1e-3 * getattr(cells.device, "latency_ms", 0.0)
+            none = dict.fromkeys(("reflected_mass_kg", "viscous_friction_N_s_m", "coulomb_friction_N"), 0.0)
+            believed = believed.model_copy(update=none)
         model = build_model(believed, platform, c.platform.leg_spin)
-        observer = WrenchObserver(model, _force_path(settings, period_s), settings.bandwidth_Hz)
+        path = _force_path(settings, period_s)
+        observer = WrenchObserver(model, path, settings.bandwidth_Hz, patience_s)
     return ExternalWrench(observer, rate_Hz, period_s)
 
 

@@ -15,6 +15,9 @@ class WrenchSettings(ForceDelay):
 
     source: Literal["none", "observer", "sensor"] = "none"
     """`observer`: from the forces sent and the resulting motion. `sensor`: the wrench of `sensors`."""
+    forces: Literal["sent", "sensors"] = "sent"
+    """Forces that the observer takes: those sent, or those of the load cells `sensors.forces`, which contain
+    neither friction nor inertia of the drives."""
     bandwidth_Hz: Annotated[float, Field(gt=0, le=100)] = 15.0
     """Bandwidth of the observer. A larger value is faster, noisier, and more sensitive to wrong delays and
     masses."""

@@ -10,12 +10,13 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import pointed, reals_at
+from drivers.rotations import rotation_vector_kernel
 from hil.config.model import ModelSettings
 from hil.config.values import Positive, ThreePositive
 from hil.control.law import DesiredLoop, LawContext, LawSettings, per_axis
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.mathematics.linear_algebra import solve_transposed
-from hil.mathematics.rotations import relative_rotation, rotation_vector_kernel
+from hil.mathematics.rotations import relative_rotation
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 

@@ -18,10 +18,11 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, helper, kernel, record
 from drivers.compiled.pointed import reals_at, records_at
+from drivers.rotations import rotation_vector_kernel
 from hil.estimation.fusion_layout import FUSION, GYRO_BIAS, KEPT, LEG_FORCE, STAMP, STEP, TWIST, UNDECIDED
 from hil.estimation.fusion_predict import acceleration, exp_step, predict, rotation_of
 from hil.mathematics.linear_algebra import condition_kernel
-from hil.mathematics.rotations import orthonormalise, rotation_vector_kernel
+from hil.mathematics.rotations import orthonormalise
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_back, row, scale, sub
 from hil.robot.kinematics_kernels import leg, lengths_and_jacobian
 

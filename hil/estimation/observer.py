@@ -14,7 +14,8 @@ beyond the difference of P, and no sum grows: the estimate does not drift.
 
 tau is the force that the drives apply, computed from the commands through `hil.robot.force_path`: transport
 delay and lag. The feedback contains a force, too, but not in every layout. It is one sample instead of the
-mean over the period, in steps of 2 N, and from a different sensor on every drive.
+mean over the period, in steps of 2 N, and from a different sensor on every drive. Load cells between drives
+and rods measure tau without friction and inertia of the drives (`estimation.wrench.forces`).
 """
 
 from math import pi
@@ -35,12 +36,13 @@ _READY, _RUN = int(DriveState.READY), int(DriveState.RUN)
 OBSERVER = np.dtype(
     [
         *((name, "<i8") for name in ("path", "constants", "code", "begun", "tick", "follows")),
-        ("left", "<f8"), ("residual", "<f8", 6),
+        ("left", "<f8"), ("patience_s", "<f8"), ("residual", "<f8", 6),
         ("p", "<f8", 3), ("R", "<f8", (3, 3)), ("twist", "<f8", 6),
     ]
 )  # fmt: skip
 """Address of the record of the force path; the model; whether a tick has been seen, the last one, and whether
-its p, R and twist are valid; the factor exp(-K T) of one period; and r."""
+its p, R and twist are valid; the factor exp(-K T) of one period; oldest sample of a load cell, 0: the forces
+sent count instead; and r."""
 
 
 @kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR, REAL)
@@ -77,7 +79,11 @@ def unexplained(
     return w
 
 
-@pointed(record(OBSERVER), INTEGER, record(TICK, "tick", "drive_state", "p", "R", "twist"))
+@pointed(
+    record(OBSERVER),
+    INTEGER,
+    record(TICK, "tick", "drive_state", "p", "R", "twist", "force_sensor", "force_sensor_age"),
+)
 def observe(k: Any, seen: int, tick: Any) -> int:
     """Update the estimated external wrench with a tick's measurement; call it once per tick; returns 0.
 
@@ -85,7 +91,7 @@ def observe(k: Any, seen: int, tick: Any) -> int:
     does not change while brakes shut one after the other. It continues from the momentum of the first tick
     with all brakes open. A drive that is not powered resets it to zero. seen: 1, the motion is measured in
     all directions. Otherwise the estimate is kept, too: the fusion filter would predict with this estimate
-    and so confirm any value of it.
+    and so confirm any value of it. It is also kept while a load cell that is used has no present sample.
     """
     path, tau = path_at(k.path), np.empty(6)
     periods = tick.tick - k.tick if k.begun else 1
@@ -97,7 +103,12 @@ def observe(k: Any, seen: int, tick: Any) -> int:
         powered = powered and (tick.drive_state[i] == _RUN or tick.drive_state[i] == _READY)
     if not powered:
         k.residual[:] = 0.0
-    if not runs or not seen:
+    known = True
+    if k.patience_s > 0.0:
+        tau[:] = tick.force_sensor
+        for i in range(6):
+            known = known and tick.force_sensor_age[i] < k.patience_s
+    if not runs or not seen or not known:
         k.follows = 0
         return 0
     if k.follows:
@@ -122,13 +133,16 @@ class WrenchObserver:
     Mutable state: the residual, the last state and tick, the forces under way. `reset` clears all.
     """
 
-    def __init__(self, model: Model, path: ForcePath, bandwidth_Hz: float) -> None:
-        """path: delay and lag from commands to acting forces; bandwidth_Hz: of the observer, Hz."""
+    def __init__(self, model: Model, path: ForcePath, bandwidth_Hz: float, patience_s: float = 0.0) -> None:
+        """path: delay and lag from commands to acting forces; bandwidth_Hz: of the observer, Hz.
+
+        patience_s: > 0: load cells give the forces, and this is the oldest sample of theirs.
+        """
         self.model = model
         self.path = path
         left = decay(2.0 * pi * bandwidth_Hz * path.period_s)
         model_at = {"constants": model.constants, "code": model.code}
-        self.record = context_of(OBSERVER, path=path.record, left=left, **model_at)
+        self.record = context_of(OBSERVER, path=path.record, left=left, patience_s=patience_s, **model_at)
         self.look = Callee(observe.address, data_at(self.record), self)
         """Arguments: (observer, seen, tick), of `observe`."""
         self.residual: Array = self.record["residual"]

@@ -14,11 +14,12 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import MATRIX, REAL, VECTOR, kernel, record
 from drivers.compiled.pointed import Callee, context_of, data_at, pointed
+from drivers.rotations import rotation_vector_kernel
 from drivers.signals import Refusal
 from hil.config.running import OperatorSettings
 from hil.loop.motion import Motion
 from hil.mathematics.linear_algebra import lu_factor, lu_solve
-from hil.mathematics.rotations import rotation_motion, rotation_vector_kernel
+from hil.mathematics.rotations import rotation_motion
 from hil.mathematics.vectors import at, row, scale
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import (

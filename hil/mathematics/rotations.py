@@ -7,40 +7,12 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import MATRIX, VECTOR, helper, kernel
+from drivers.rotations import COSINE, SINE, reciprocal_factorials, rotation_vector_kernel, series
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, scale
 
-_TERMS = 24
-"""Number of terms: enough for full double precision at |r| <= 2 pi."""
-
-
-def _reciprocal_factorials(first: int) -> tuple[float, ...]:
-    """Coefficients (-1)^k / (2 k + first)! for k = 0, 1, ..., of the power series of rotations."""
-    values = []
-    factorial = 1
-    for n in range(2, first + 1):
-        factorial *= n
-    for k in range(_TERMS):
-        values.append((-1) ** k / factorial)
-        factorial *= (2 * k + first + 1) * (2 * k + first + 2)
-    return tuple(values)
-
-
-_SINE = _reciprocal_factorials(1)
-_COSINE = _reciprocal_factorials(2)
-_REST = _reciprocal_factorials(3)
-_INVERSE = tuple(2 * (k + 1) * c for k, c in enumerate(_reciprocal_factorials(4)))
+_REST = reciprocal_factorials(3)
+_INVERSE = tuple(2 * (k + 1) * c for k, c in enumerate(reciprocal_factorials(4)))
 """Coefficients of (2 B - A) / x in ``rotation_vector_rate``."""
-
-
-@helper
-def _series(coefficients: tuple[float, ...], x: float) -> tuple[float, float]:
-    """Polynomial sum c_k x^k and its derivative (Horner)."""
-    value = 0.0
-    slope = 0.0
-    for k in range(_TERMS):
-        slope = slope * x + value
-        value = value * x + coefficients[_TERMS - 1 - k]
-    return value, slope
 
 
 @helper
@@ -85,9 +57,9 @@ def rotation_motion(rv: Vector, v: Vector, a: Vector, R: Array) -> tuple[Vector,
     """
     x = dot(rv, rv)
     dx = 2.0 * dot(rv, v)
-    A, _ = _series(_SINE, x)
-    B, Bx = _series(_COSINE, x)
-    C, Cx = _series(_REST, x)
+    A, _ = series(SINE, x)
+    B, Bx = series(COSINE, x)
+    C, Cx = series(_REST, x)
     for i in range(3):
         for j in range(3):
             R[i, j] = B * rv[i] * rv[j]
@@ -125,50 +97,10 @@ def rotation_vector_rate(r: Array, omega: Array) -> Array:
     """
     rv, w = at(r, 0), at(omega, 0)
     x = dot(rv, rv)
-    B, _ = _series(_COSINE, x)
-    N, _ = _series(_INVERSE, x)
+    B, _ = series(COSINE, x)
+    N, _ = series(_INVERSE, x)
     rxw = cross(rv, w)
     return np.array(add(w, add(scale(-0.5, rxw), scale(N / (2.0 * B), cross(rv, rxw)))))
-
-
-@kernel(MATRIX)
-def rotation_vector_kernel(R: Array) -> Array:
-    """Rotation vector r with exp([r]x) = R, |r| <= pi. R (3, 3).
-
-    Uses the unit quaternion and an arc tangent of an eighth of the half angle.
-    """
-    # Largest of w, x, y, z first: no small divisor.
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    if trace > 0.0:
-        w, v = 1.0 + trace, (R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
-    elif R[0, 0] >= R[1, 1] and R[0, 0] >= R[2, 2]:
-        w, v = R[2, 1] - R[1, 2], (1.0 + R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0])
-    elif R[1, 1] >= R[2, 2]:
-        w, v = R[0, 2] - R[2, 0], (R[0, 1] + R[1, 0], 1.0 + R[1, 1] - R[0, 0] - R[2, 2], R[1, 2] + R[2, 1])
-    else:
-        w, v = R[1, 0] - R[0, 1], (R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1.0 + R[2, 2] - R[0, 0] - R[1, 1])
-    norm = np.sqrt(w * w + v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    sign = -1.0 if w < 0.0 else 1.0
-    c, s = sign * w / norm, np.sqrt(dot(v, v)) / norm  # of half the angle
-    r = np.zeros(3)
-    if s == 0.0:
-        return r
-    # The angle is 2 * 8 * atan of the tangent of an eighth of the half angle, at most tan(pi/16).
-    sine = s
-    for _ in range(3):
-        h = np.sqrt(0.5 * (1.0 + c))
-        s = s / (2.0 * h)
-        c = h
-    t = s / c
-    x = t * t
-    total = 0.0
-    for k in range(13):
-        n = 12 - k
-        total = (-total) * x + 1.0 / (2 * n + 1)
-    angle = 16.0 * t * total
-    for i in range(3):
-        r[i] = sign * v[i] / norm / sine * angle
-    return r
 
 
 @kernel(MATRIX, MATRIX)

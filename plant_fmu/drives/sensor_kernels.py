@@ -12,6 +12,7 @@ from drivers.frame_array import FRAME
 from drivers.frame_pointers import frame_at
 from drivers.legs.crc import intact
 from drivers.legs.kernels import STRANGE
+from drivers.rotations import rotation_vector_kernel, times, turn
 from drivers.sensing.kernels import put_sample, rows_at, slots_at
 from drivers.sensing.layout import (
     FORCE,
@@ -25,7 +26,6 @@ from drivers.sensing.layout import (
     TRACKER,
     WRENCH,
 )
-from drivers.sensing.rotations import rotation_vector_of, times, turn
 from drivers.signals import LEGS
 
 SENSED = np.dtype(
@@ -123,7 +123,7 @@ def measure(n: Any, slot: int, t_ns: int, grid_ns: int, p: Array, R: Array, twis
         for i in range(3):
             turned[i, :] = times(n.target.T, turned[i, :])
         v[:3] = there + bias[:3] + noise[:3]
-        v[3:] = rotation_vector_of((bias[3:] + noise[3:]) * (pi / 180.0), turned)
+        v[3:] = rotation_vector_kernel(turn((bias[3:] + noise[3:]) * (pi / 180.0), turned))
     else:
         if slot in (IMU, WRENCH):
             _on_platform(n, slot, R, turned, twist, grid_ns)
@@ -150,7 +150,7 @@ def fill_frame(n: Any, row: int, counter: int, t_ns: int, late_s: float, raw: Ar
     of = rows_at(s.rows, s.size)[row]
     offset_s = (t_ns - n.heard_ns[of.slot]) * 1e-9
     if slots_at(s.slots, SLOTS)[of.slot].timing != STAMPED:
-        offset_s = 0.0
+        offset_s = max(0.0, 1e-9 * t_ns + late_s)  # by its own clock, in frames with a field for it
     elif late_s != 0.0:
         offset_s = max(0.0, offset_s + late_s)
     return put_sample(of, raw, n.cycle[of.slot], offset_s, counter, frame)

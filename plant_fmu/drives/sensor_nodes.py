@@ -17,9 +17,9 @@ from drivers.errors import PlantError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, sent_frames, timed_array
 from drivers.protocol import Frame
+from drivers.rotations import turn
 from drivers.sensing.family import SYNC_ID
-from drivers.sensing.layout import FREE, IMU, LENGTH, STAMPED, unheard
-from drivers.sensing.rotations import turn
+from drivers.sensing.layout import FORCE, FREE, IMU, LENGTH, STAMPED, unheard
 from drivers.sensors import SensorProtocol
 from drivers.tick_columns import SENSORS, Record
 from plant_fmu.config import DriveEmulation, SensorEmulation
@@ -165,6 +165,8 @@ class SensedNodes(Nodes):
         if truth is None and any(slot < LENGTH for slot in self._of):
             raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
         self._applied[:] = self._record["force"] if truth is None else truth.applied_force
+        if FORCE in self._of and (rods := self._plant.rod_force()) is not None:
+            self._applied[:] = rods
         frames: dict[tuple[int, ...], Rows | None] = {}
         for slot, due_ns in self._due_ns.items():
             if due_ns == t_ns:

@@ -43,6 +43,8 @@ class FmuSpec(FmuPlant):
     type: Literal["fmu"] = "fmu"
     truth: list[str] = []
     """Outputs with position, rotation, twist and applied forces; empty if unknown."""
+    rod_force: str = ""
+    """Output with the forces between drives and rods; empty if unknown."""
 
     @property
     def step_s(self) -> float:
@@ -81,6 +83,8 @@ class Interface:
     """Type of the brakes: one of `FLOATS` or `SWITCHES`; empty if the FMU has no brakes."""
     outputs: dict[str, tuple[int, ...]]
     """length, rate, and the truth if it is known -> value references."""
+    rod_force: tuple[int, ...]
+    """Value references of the forces between drives and rods; none if unknown."""
     starts: tuple[Start, ...]
     assumed: dict[str, str]
     """Variable -> unit from the configuration, as the description declares none."""
@@ -379,4 +383,7 @@ def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
     for name, count in zip(spec.truth, (3, 9, 6, 6), strict=False):
         outputs[name] = reader.channel("truth", [name], "output", (), count)
     starts = tuple(reader.start(name, value) for name, value in spec.parameters.items())
-    return Interface(description, reader.major, binary, inputs, brake_type, outputs, starts, reader.assumed)
+    rod = reader.channel("truth", [spec.rod_force], "output", ()) if spec.rod_force else ()
+    return Interface(
+        description, reader.major, binary, inputs, brake_type, outputs, rod, starts, reader.assumed
+    )

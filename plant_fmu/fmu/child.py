@@ -34,7 +34,7 @@ CLOSE_TIMEOUT_S = 10.0
 """Time limit for freeing the FMU and ending the interpreter."""
 _RESET: tuple[()] = ()
 """Request for a reset; a request for a step has the arguments of `FmuHost.step`."""
-_NOTES = "notes"
+_NOTES, _RODS = "notes", "rods"
 """Request for `FmuHost.notes`."""
 _LIFE_CHECK_MS = 1000
 
@@ -151,6 +151,10 @@ class ChildHost:
         """Leg forces (6,) N after the drives' lag; None if the FMU's output for them is unknown."""
         return None if self._truth is None else self._truth.applied_force
 
+    def rod_force(self) -> Array | None:
+        """Forces (6,) N between drives and rods; None if the FMU's output for them is unknown."""
+        return self._ask(_RODS, STEP_TIMEOUT_S, "report")  # type: ignore[no-any-return]
+
     def notes(self) -> list[str]:
         """Warnings of the FMU in this child; for a child that has ended, only those of its reset."""
         found = f"the FMU cannot be reset, so each new start gets a fresh process: {self._cannot_reset}"
@@ -234,6 +238,8 @@ def serve(line: Connection, parent: int, folder: str) -> None:
                     host, answer = FmuHost(question), None
                 elif question == _NOTES:
                     answer = host.notes()
+                elif question == _RODS:
+                    answer = host.rod_force()
                 else:
                     measured = host.step(*question) if question else host.reset()
                     answer = [each.tolist() for each in measured], host.truth()

@@ -245,6 +245,14 @@ class FmuHost(PointedPlant):
         """Leg forces (6,) N after the drives' lag; None if the FMU's output for them is unknown."""
         return self._outputs[fmu_call.APPLIED :] if self.spec.truth else None
 
+    def rod_force(self) -> Array | None:
+        """Forces (6,) N between drives and rods, read when asked; None if the FMU's output is unknown."""
+        references = list(self._interface.rod_force)
+        if not references:
+            return None
+        three = self._interface.major >= 3
+        return np.array(self._fmu.getFloat64(references, LEGS) if three else self._fmu.getReal(references))
+
     def notes(self) -> list[str]:
         """Warnings about a failed reset, and the number and first text of the FMU's warnings."""
         found, reason = [], self._cannot_reset

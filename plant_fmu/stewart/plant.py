@@ -64,5 +64,6 @@ def stewart_plant(settings: StewartPlant, robot: Robot, *_: object) -> Plant:
         parameters=stewart_parameters(settings, robot),
         step_us=settings.internal_step_us,
         truth=["position", "rotation", "twist", "applied_force"],
+        rod_force="rod_force",
     )
     return host(spec)

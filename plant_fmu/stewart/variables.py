@@ -174,6 +174,8 @@ _ROWS: dict[Causality, tuple[tuple[Any, ...], ...]] = {"parameter": (
      _MOTION, (), ("initial_twist",)),
     ("acceleration", "Mixed", (6,), None, "Time derivative of twist, m/s2 and rad/s2",
      ("Acceleration",) * 3 + ("AngularAcceleration",) * 3, ("force", "brake", "wrench")),
+    ("rod_force", "Force", (6,), None, "Leg forces behind friction, brake and reflected mass",
+     (), ("force", "brake", "wrench")),
     ("kinetic_energy", "Energy", (), None, "Kinetic energy of platform, legs and reflected masses"),
     ("potential_energy", "Energy", (), None, "Potential energy, zero level through the base origin"),
 )}

@@ -310,3 +310,22 @@ def test_fmu_value_out_of_range_is_refused_with_the_variable(direct, name, allow
             plant.set(**{name: values})
         assert name in plant.messages[-1]
     assert plant.get(name).tolist() == [allowed] * plant.size[name]
+
+
+def test_rod_forces_alone_accelerate_a_plant_without_friction_brake_and_reflected_mass_alike(direct):
+    twist = [0.1, 0.2, -0.3, 0.1, 0.0, 0.2]
+    lossy, free = direct(), direct()
+    lossy.set(viscous_friction=np.arange(6) * 100.0, coulomb_friction=np.full(6, 40.0), initial_twist=twist)
+    lossy.set(reflected_mass=np.arange(6) * 30.0)
+    lossy.start(force=HOME_FORCE + np.arange(6) * 50.0, brake=np.array([0.0, 0, 0.001, 0, 0, 0]))
+    free.set(initial_twist=twist)
+    free.start(force=lossy.get("rod_force"), brake=np.zeros(6))
+    assert lossy.get("acceleration") == pytest.approx(free.get("acceleration"), rel=1e-9)
+
+
+def test_rods_carry_the_load_while_the_brakes_hold_and_the_drives_are_off(direct):
+    plant = direct()
+    plant.start()
+    plant.step(0.01)
+    assert plant.get("rod_force") == pytest.approx(HOME_FORCE, rel=1e-6)
+    assert plant.get("applied_force") == pytest.approx(np.zeros(6))

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drivers.config import UDP
 from drivers.motors import MotorProtocol
 from drivers.transmission import Transmission
 from hil.app.check.leg_axes import crossing
@@ -272,7 +273,7 @@ HARDWARE = {
 
 def _unknown(name: str) -> str:
     """Message with the known bus interfaces for an unknown one; empty for a known one."""
-    if name in {"localcan", "socketcan"}:
+    if name in {"localcan", "socketcan", UDP}:
         return ""
     from drivers.can.python_can import unknown_interface
 

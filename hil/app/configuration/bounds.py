@@ -178,8 +178,8 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
         ),
     ),
     "estimation.pose": (
-        lambda c: c.estimation.pose == "fused" and c.bus.layout == "classic",
-        "fused needs the drives' forces, which bus.layout classic does not carry, allowed with it: legs",
+        lambda c: (c.estimation.pose, c.drives.protocol, c.bus.layout) == ("fused", "legs", "classic"),
+        "fused needs the drives' forces, which layout classic of protocol legs lacks, allowed there: legs",
     ),
     "sensors.imu": (
         lambda c: (
@@ -192,6 +192,13 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
     "estimation.wrench.source": (
         lambda c: c.estimation.wrench.source == "sensor" and c.sensors.wrench is None,
         "no sensors.wrench is configured, allowed without it: none, observer, given: sensor",
+    ),
+    "estimation.wrench.forces": (
+        lambda c: (
+            c.estimation.wrench.forces == "sensors"
+            and (c.sensors.forces is None or c.estimation.wrench.source != "observer")
+        ),
+        "sensors needs sensors.forces and estimation.wrench.source observer, allowed without them: sent",
     ),
     "controller.delay_compensation": (
         lambda c: isinstance(c.reference, LiveReference) and c.controller.lookahead is not None,

@@ -8,7 +8,7 @@ from typing import NamedTuple, Self
 
 from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, frame_bits, frame_time_ns
-from drivers.config import BusSettings, DriveSettings
+from drivers.config import UDP, BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
 from drivers.protocol import EXTENDED, FD, DriveSetup, Frame
@@ -121,13 +121,16 @@ def bus_budgets(
     for index, legs in enumerate(bus.legs):
         if not legs and index not in {each.bus for each in nodes.sensors.values()}:
             raise ConfigurationError(f"bus.channels[{index}]: a bus needs legs or a sensor, given: neither")
+        if legs and bus.buses[index].interface == UDP:
+            raise ConfigurationError(f"bus: interface {UDP} carries a tracker, allowed there: no legs")
     if bus.layout == "ideal":
         return ()
     frames = protocol.traits.cyclic_frames + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)
     frames += timed_feedbacks(protocol, rate_Hz) + protocol.traits.echoes
     found = []
     for index, each in enumerate(bus.buses):
-        own, seen = ([frame for frame in some if frame.bus == index] for some in (frames, measured))
+        of = -1 if each.interface == UDP else index  # no CAN, no bus time
+        own, seen = ([frame for frame in some if frame.bus == of] for some in (frames, measured))
         where = f"bus.channels[{index}]" if bus.channels else "bus"
         given = BitTiming.of(each), rate_Hz, each.max_load_percent
         without, alone = budget(own, *given), budget(seen, *given)

@@ -1,6 +1,7 @@
 """Builds the lockstep simulation of both ends of the buses from a Configuration."""
 
 from drivers.can.bus_time import BitTiming
+from drivers.config import UDP
 from drivers.errors import ConfigurationError
 from hil.app.configuration.changes import without_operator
 from hil.app.configuration.configuration import Configuration
@@ -14,12 +15,13 @@ def build_lockstep(
 ) -> Lockstep:
     """Lockstep simulation on the configured buses, from tick `first` on.
 
-    In layout `ideal` frames take no bus time. attended: an operator gives commands. Raises
-    ConfigurationError: without an operator the run would wait forever (see `unattended`).
+    Frames take no bus time in layout `ideal` and on interface `udp`. attended: an operator gives commands.
+    Raises ConfigurationError: without an operator the run would wait forever (see `unattended`).
     """
     if not attended and without_operator(c) is not c:
         raise ConfigurationError(
             f"{c.source}: operator: nobody gives commands here, allowed: without start, deadman_s and stays"
         )
-    timings = [None if c.bus.layout == "ideal" else BitTiming.of(each) for each in c.bus.buses]
+    timed = [c.bus.layout != "ideal" and each.interface != UDP for each in c.bus.buses]
+    timings = [BitTiming.of(each) if of else None for each, of in zip(c.bus.buses, timed, strict=True)]
     return Lockstep(cycle, nodes, timings, c.loop.window_s(c.loop.rate_Hz), tick=first - 1)

@@ -36,7 +36,7 @@ from hil.lab.identify.estimators.leg_equations import (
 )
 from hil.lab.identify.estimators.leg_motion import LegSignals
 from hil.lab.identify.estimators.rigid_body import SIZE, parameters_of
-from hil.lab.identify.runs import brakes_open, episode, recorded_run, refuse_fused
+from hil.lab.identify.runs import at_ticks, brakes_open, episode, recorded_run, refuse_fused
 from hil.robot.dynamics import Model
 
 SURE = 3.0
@@ -175,7 +175,10 @@ def _source(path: Path) -> Source:
             force = 0.5 * (np.vstack([mean[:1], mean]) + np.vstack([mean, mean[-1:]]))
         length, reference = (np.ascontiguousarray(rows[name]) for name in ("q", "q_d"))
         good = good & running & np.isfinite(force + reference).all(axis=1)
-        signals = LegSignals(period, length, reference, force, p, R, good)
+        cells = None if c.sensors.forces is None else at_ticks(rows, "force_sensor", period)
+        if cells is not None:
+            good &= np.isfinite(cells).all(axis=1)
+        signals = LegSignals(period, length, reference, force, p, R, good, cells)
         equations = equations_of(model, signals)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None

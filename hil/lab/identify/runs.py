@@ -31,6 +31,10 @@ STEP_SHARE = 0.1
 """and its largest share of limits.force_step_N and limits.force_window_N."""
 
 
+SAME_S = 1e-7
+"""Two ticks whose samples are closer than this show the same sample."""
+
+
 class Recorded(NamedTuple):
     """Log of a run: its configuration, tick rows, rate and attached files."""
 
@@ -135,6 +139,22 @@ def episode(rows: Rows) -> Episode:
     known = np.isfinite(rows["p"]).all(axis=1) & np.isfinite(rows["twist"]).all(axis=1)
     p, R = np.ascontiguousarray(rows["p"]), np.ascontiguousarray(rows["R"]).reshape(-1, 3, 3)
     return Episode(rows, p, R, np.asarray(there & fresh & known))
+
+
+def at_ticks(rows: Rows, column: str, period_s: float) -> Array:
+    """Values (n, 6) of a sensor on each leg at the instants of the ticks, linear between its samples.
+
+    NaN before the first and after the last sample. `rows` without gaps.
+    """
+    t = np.arange(len(rows)) * period_s
+    found = np.full((len(rows), 6), np.nan)
+    for leg in range(6):
+        taken = np.fmax(t - rows[f"{column}_age"][:, leg], -1.0)
+        new = np.diff(taken, prepend=-1.0) > SAME_S
+        if new.any():
+            values = rows[column][new, leg]
+            found[:, leg] = np.interp(t, taken[new], values, left=np.nan, right=np.nan)
+    return found
 
 
 def brakes_open(rows: Rows) -> Flags:

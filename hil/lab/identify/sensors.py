@@ -12,11 +12,11 @@ from drivers.errors import HilError, IdentificationError
 from drivers.sensing.calibration import Calibration
 from hil.app.configuration.platform import build_platform
 from hil.app.files import printable
-from hil.lab.identify.estimators.leg_motion import LegSignals, platform_motion
+from hil.lab.identify.estimators.leg_motion import LegSignals, legs_alone, platform_motion
 from hil.lab.identify.estimators.sensor_fit import Fit, Samples, fit
 from hil.lab.identify.estimators.sensor_models import MODELS
 from hil.lab.identify.payload import HIDDEN
-from hil.lab.identify.runs import brakes_open, episode, recorded_run
+from hil.lab.identify.runs import SAME_S, brakes_open, episode, recorded_run
 
 COLUMNS = {
     "tracker": "tracker_pose", "imu": "imu", "inclination": "inclination",
@@ -24,8 +24,8 @@ COLUMNS = {
 }  # fmt: skip
 SMOOTHING_S = 0.03
 """Half window over the lengths; noise of the accelerations would make lever arms of an IMU too short."""
-SAME_S = 1e-7
-"""Two ticks whose samples are closer than this show the same sample."""
+SAME_READING = 1e-9
+"""Smallest step between two readings of a drive, as a share of the largest; less is rounding."""
 REDUCED = ("imu", "lever_arm_m")
 """Printed only: an IMU is to reduce its readings to the platform's origin by itself."""
 REMARK = "# Made by hil identify sensors: paste into the configuration, in the place of these keys.\n"
@@ -65,8 +65,10 @@ def identify_sensors(path: Path) -> Found:
         force = np.ascontiguousarray(rows["drive_force"])
         signals = LegSignals(period, length, length, force, p, R, good & brakes_open(rows))
         motion = platform_motion(build_platform(c.platform), signals, SMOOTHING_S)
+        legs = legs_alone(motion, signals)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None
+    reading = {"lengths": rows["q"], "forces": force}
     fits, refused = {}, {}
     for role, settings in c.sensors:
         if settings is None:
@@ -77,8 +79,10 @@ def identify_sensors(path: Path) -> Found:
             refused[role] = "the drives do not report their forces"
         else:
             samples = samples_of(rows, COLUMNS[role], settings.calibration, period, late_s)
+            seen, against = (legs, reading[role]) if role in reading else (motion, None)
             try:
-                fits[role] = fit(MODELS[role], motion, period, samples, np.array(c.platform.gravity_m_s2))
+                found = fit(MODELS[role], seen, period, samples, np.array(c.platform.gravity_m_s2))
+                fits[role] = found if against is None else _with_half_steps(found, against)
             except IdentificationError as error:
                 refused[role] = str(error)
     if not fits:
@@ -95,6 +99,20 @@ def _at_one_instant(rows: Rows, period_s: float) -> tuple[Array, float]:
     late_s = float(latch_s.mean())
     legs = [np.interp(t + late_s, t + latch_s[:, k], rows["q"][:, k]) for k in range(latch_s.shape[1])]
     return np.ascontiguousarray(np.array(legs).T), late_s
+
+
+def _with_half_steps(of: Fit, readings: Array) -> Fit:
+    """A fit of scales and offsets, whose standard errors count that drives may truncate readings (n, 6).
+
+    Makers truncate or round; truncation shifts all readings by half a step, which no residual shows.
+    """
+    std = of.std.copy()
+    for leg in range(readings.shape[1]):
+        steps = np.diff(np.unique(readings[:, leg]))
+        least = steps[steps > SAME_READING * np.abs(readings[:, leg]).max()].min(initial=np.inf)
+        half = 0.5 * least if np.isfinite(least) else 0.0
+        std[leg - 6] = np.hypot(std[leg - 6], half)
+    return of._replace(std=std)
 
 
 def samples_of(rows: Rows, column: str, of: Calibration, period_s: float, late_s: float) -> Samples:
@@ -129,7 +147,7 @@ def _readings(values: Array, of: Calibration, devices: int) -> Array:
 
 
 def _plain(x: Array) -> Any:
-    values = [float(f"{each:.6g}") for each in x]
+    values = [float(f"{each:.9g}") for each in x]
     return values[0] if len(values) == 1 else values
 
 

@@ -249,6 +249,13 @@ int plant_refresh(Plant *plant, int place, char *why)
     if (plant->fresh == 1 && place >= PLACE(acceleration)) {
         if (accelerate(plant, &plant->x, v->applied_force, v->internal_step, contact, v->acceleration) != 0)
             return refuse(why, "the mass matrix is not positive definite at this pose");
+        equations_of_motion(plant, &plant->x, &e);
+        for (int i = 0; i < LEGS; i++) {
+            double ddl = e.bias[i];
+            for (int k = 0; k < 6; k++) ddl += e.J[k][i] * v->acceleration[k];
+            v->rod_force[i] = v->applied_force[i] - v->viscous_friction[i] * e.dl[i] + contact[i] -
+                              v->reflected_mass[i] * ddl;
+        }
         energies(plant);
         plant->fresh = 2;
     }

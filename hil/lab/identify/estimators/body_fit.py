@@ -60,7 +60,7 @@ class Estimate(NamedTuple):
     condition: float
     """Condition number of the columns, each scaled to unit length."""
     residual_N: Array
-    """(6,) N, rms residual of each leg."""
+    """(6,) N, rms residual of each leg, or (12,) with load cells: then those of the drives."""
     root: Array
     """(29, 29): |root (theta - x)|^2 is the increase of the weighted sum of squares from theta to x."""
     scale: Array
@@ -93,12 +93,12 @@ def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
     count = np.bincount(equations.leg, minlength=6)
     if count.min() < FEWEST_SAMPLES:
         raise IdentificationError(
-            f"too little motion: leg {int(count.argmin())} has {count.min()} usable samples (brakes open, "
-            f"encoder fresh, moving one way), allowed: at least {FEWEST_SAMPLES}; log a longer motion"
+            f"too little motion: leg {int(count.argmin()) % 6} has {count.min()} usable samples (brakes "
+            f"open, encoder fresh, moving one way), allowed: at least {FEWEST_SAMPLES}; log a longer motion"
         )
     X, W = equations.A * scale, equations.instruments * scale
     rest = equations.y - equations.A @ believed
-    weight = np.ones(6)
+    weight = np.ones(len(count))
     for _ in range(ROUNDS):
         w = weight[equations.leg]
         led = _projected(X * w[:, None], W * w[:, None])
@@ -106,7 +106,7 @@ def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
         z = np.linalg.lstsq(led @ shown, rest * w, rcond=None)[0]
         theta = believed + scale * (shown @ z)
         residual = equations.y - equations.A @ theta
-        rms = np.array([np.sqrt(np.mean(residual[equations.leg == leg] ** 2)) for leg in range(6)])
+        rms = np.array([np.sqrt(np.mean(residual[equations.leg == leg] ** 2)) for leg in range(len(count))])
         weight = 1.0 / np.maximum(rms, 1e-9 * np.abs(equations.y).max())
     w = weight[equations.leg]
     A, y = equations.A * w[:, None], equations.y * w

@@ -1,7 +1,9 @@
 """The leg forces of a log as linear equations in the platform's ten parameters and the drives' friction.
 
 tau - legs = J^-T Y theta + viscous dq + coulomb sgn(dq) + reflected ddq - late dtau/dt, a row for each leg
-and sample. `legs` are the forces of the legs themselves, with their weight, from the model.
+and sample. With load cells between drives and rods there are two rows instead, each with its own unknowns:
+cell - legs = J^-T Y theta; tau - cell = viscous dq + coulomb sgn(dq) + reflected ddq - late dtau/dt.
+`legs` are the forces of the legs themselves, with their weight, from the model.
 
 Forces and lengths are not simultaneous: drives report forces from some 10 us before or after they sample the
 encoder, and the known delay of a command may be off by half a period. An inertia evaluated too late looks
@@ -55,7 +57,7 @@ class Equations(NamedTuple):
     instruments: Array
     """(m, 29): A computed along the reference, as instruments."""
     leg: Ints
-    """(m,) leg number, 0 to 5."""
+    """(m,) leg number, 0 to 5; 6 more for the drive of a leg with a load cell."""
     sample: Ints
     """(m,): index of the instant over all logs; rows of one instant are neighbours."""
 
@@ -79,22 +81,32 @@ def equations_of(model: Model, signals: LegSignals) -> Equations:
     c[kernels.COM : kernels.INERTIA + 9] = 0.0
     c[kernels.REFLECTED : kernels.REFLECTED + 6] = 0.0
     c[kernels.VISCOUS : kernels.COULOMB + 6] = 0.0
-    needed = motion.force - _forces(c, motion)
+    own = _forces(c, motion)
     half = half_ticks(signals.period_s)
     wide = bell(WIDER * half, signals.period_s)
     fast = np.abs(motion.dq) > max(float(c[kernels.SLIDING_SPEED]), 1e-6)
     one_way = all_under(wide.half, fast & (motion.dq > 0.0)) | all_under(wide.half, fast & (motion.dq < 0.0))
     usable = one_way & all_under(wide.half, motion.good & reference.good)[:, None]
-    usable &= (np.arange(len(needed)) % half == 0)[:, None]
+    usable &= (np.arange(len(own)) % half == 0)[:, None]
     A, W = (
         smooth(wide.value, x.reshape(len(x), -1)).reshape(x.shape)
         for x in (_columns(model.platform, m) for m in (motion, reference))
     )
     at, legs = np.nonzero(usable)
-    return Equations(
-        A[at, legs], smooth(wide.value, needed)[at, legs], W[at, legs],
-        legs.astype(np.int64), at.astype(np.int64),
-    )  # fmt: skip
+
+    def rows(y: Array, unknowns: slice, group: int) -> Equations:
+        kept = np.zeros(COLUMNS)
+        kept[unknowns] = 1.0
+        leg = legs.astype(np.int64) + group
+        smoothed = smooth(wide.value, y)[at, legs]
+        return Equations(A[at, legs] * kept, smoothed, W[at, legs] * kept, leg, at.astype(np.int64))
+
+    if signals.cells is None:
+        return rows(motion.force - own, slice(None), 0)
+    measured = np.where(signals.good[:, None], signals.cells, 0.0)
+    cells = smooth(bell(half, signals.period_s).value, measured)
+    parts = rows(cells - own, slice(SIZE), 0), rows(motion.force - cells, slice(SIZE, None), 6)
+    return Equations(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def _forces(constants: Array, motion: PlatformMotion) -> Array:

@@ -66,7 +66,7 @@ class Run(NamedTuple):
 
     def result(self) -> Any:
         """JSON that the command writes. Raises CalledProcessError if it writes none."""
-        words = shlex.split(self.command)
+        words = [str(ROOT / word) if (ROOT / word).is_file() else word for word in shlex.split(self.command)]
         with TemporaryDirectory() as folder:
             there = Path(folder)
             if self.changes:

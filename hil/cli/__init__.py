@@ -49,6 +49,7 @@ COMMANDS = {
     "homing": "Show or set parked leg lengths, for motors that lose their turn count at power-off.",
     "workspace": "Map of the reachable poses, with a picture; nothing moves.",
     "compare": "Compare all control laws on your platform and path; nothing moves.",
+    "tune": "Gains for your delay, friction and encoders, with margins; nothing moves.",
     "fmu": "Build the platform's FMU; inspect your own.",
     "bus": "CAN FMUs (FMI-LS-BUS) on a simulated or a real CAN bus.",
     "schema": "JSON Schema with which editors complete and check configurations.",
@@ -131,6 +132,7 @@ def main() -> None:
       hil check              figures, warnings and errors of a configuration; nothing moves
       hil stability          what is proven about the control law, with error bounds
       hil workspace          map of the reachable poses, with a picture
+      hil tune               gains for its delay, friction and encoders
       hil compare            all control laws on this platform, path, bus and drives
       hil sim                controller, bus, drives and platform in simulated time
       hil run --plant        the same in real time; moves on Enter, or with --arm

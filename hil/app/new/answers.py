@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import hypot, isfinite
+from math import hypot, isfinite, pi
 from typing import Any, NamedTuple
 
 import click
@@ -13,6 +13,7 @@ from hil.app.new import derive, drives
 from hil.app.new.robot import (
     ESTIMATE,
     HOLD_SHARE,
+    LOWER_SHARE,
     MOUNTINGS,
     WORST_CONDITION,
     Answers,
@@ -39,6 +40,20 @@ class Figure(click.FloatRange):
         return (
             rounded(number, DIGITS) if isfinite(number) else self.fail(f"{value} is not finite", param, ctx)
         )
+
+
+class MovingMass(Figure):
+    """Type of a mass along the leg: kg, or a rotor's kg m^2@m a turn, as 5e-5@0.005: I (2 pi / lead)^2."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Convert either form to kg. Raises click.BadParameter."""
+        inertia, at, lead = str(value).partition("@")
+        if at:
+            try:
+                value = float(inertia) * (2.0 * pi / float(lead)) ** 2
+            except (ValueError, ZeroDivisionError, OverflowError):
+                self.fail(f"{value}, allowed: kg, or kg m^2@m a turn, as 5e-5@0.005", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 def moments(text: str) -> str | list[float]:
@@ -142,6 +157,12 @@ def _inertia(a: Answers) -> str | None:
     return None
 
 
+def _halves(a: Answers) -> str | None:
+    most = a["leg_mass_kg"]
+    heavy = f"the whole leg has {most:g} kg, given for its lower half: {a['cylinder_mass_kg']:g} kg"
+    return heavy if a["cylinder_mass_kg"] > most else None
+
+
 def _encoder(a: Answers) -> str | None:
     most = 1e-3 * a["stroke_m"]
     coarse = f"less than 1000 counts over the stroke, allowed: at most {most:.3g} m"
@@ -152,6 +173,12 @@ def _speed(a: Answers) -> str | None:
     most = 50.0 * a["stroke_m"]
     fast = f"the whole stroke in less than 20 ms, allowed: at most {most:.3g} m/s"
     return fast if a["drive_speed_m_s"] > most else None
+
+
+def _sticks(a: Answers) -> str | None:
+    friction, force = a["coulomb_friction_N"], a["drive_force_N"]
+    most = 0.5 * force
+    return None if friction <= most else f"more than half of the rated force: at most {most:g} N"
 
 
 def _layout(a: Answers) -> str | None:
@@ -200,11 +227,28 @@ QUESTIONS: tuple[Question, ...] = (
         moments, lambda _: ESTIMATE, _inertia,
     ),
     Question("leg_mass_kg", "mass of one leg with its motor; 0 neglects it", Figure("kg", 0.0, 1e5)),
+    Question(
+        "cylinder_mass_kg", "of it, mass of the half at the base joint: housing, motor, brake, screw",
+        Figure("kg", 0.0, 1e5), lambda a: rounded(LOWER_SHARE * a["leg_mass_kg"], DIGITS), _halves,
+        lambda a: "cylinder_kg" not in a and a["leg_mass_kg"] > 0.0,
+    ),
     Question("drive_force_N", "rated force of a drive", Figure("N", 1e-2, 1e7), trouble=_force),
     Question("drive_speed_m_s", "largest speed of a drive", Figure("m/s", 1e-4, 50.0), trouble=_speed),
     Question(
-        "reflected_mass_kg", "rotor and screw along the leg, inertia x (2 pi / lead)^2; 0 neglects it",
-        Figure("kg", 0.0, 1e6), lambda _: 0.0,
+        "reflected_mass_kg",
+        "rotor and screw as a mass along the leg, or inertia@lead in kg m^2 and m a turn: a servo motor of "
+        "5e-5 kg m^2 on a 5 mm screw, 5e-5@0.005, is 79 kg; 0 neglects it",
+        MovingMass("kg", 0.0, 1e6), lambda _: 0.0,
+    ),
+    Question(
+        "coulomb_friction_N",
+        "dry friction of a leg; usual for a ball screw: 1 to 3 % of the rated force; `hil identify payload` "
+        "measures it; 0 neglects it",
+        Figure("N", 0.0, 1e6), lambda _: 0.0, _sticks,
+    ),
+    Question(
+        "viscous_friction_N_s_m", "friction of a leg per speed; 0 neglects it", Figure("N s/m", 0.0, 1e7),
+        lambda _: 0.0,
     ),
     Question(
         "encoder_resolution_m", "one count of a leg's encoder", Figure("m", 1e-10, 1e-2), lambda _: 1e-6,

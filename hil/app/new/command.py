@@ -34,7 +34,10 @@ def new_configuration(
     """
     values = derive.values(answers) | {"name": short_name(path)}
     if fmu is None:
-        values["stewart"] = True
+        values |= {
+            "stewart": True,
+            "rubs": bool(values["coulomb_friction_N"] or values["viscous_friction_N_s_m"]),
+        }
     else:
         values |= _fmu_values(values, fmu[1], _named(fmu[0], path.parent))
     only_sim = fmu is None and answers["interface"] != "localcan"

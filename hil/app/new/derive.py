@@ -16,6 +16,7 @@ from drivers.mit.fields import TURN
 from drivers.sensing.settings import SensorSettings
 from drivers.signals import LEGS
 from hil.app.configuration.bus_budget import bus_budgets
+from hil.app.derive_encoder_limits import PUSH
 from hil.app.new import drives
 from hil.app.new.robot import Answers, AtHome, platform_settings, platform_values, robot_at_home
 from hil.app.new.template import settings
@@ -48,6 +49,8 @@ FADE = 0.4
 """Shortest fade of the path, in its periods: 1.875 x / t is then 0.75 of the rate 2 pi f x."""
 SLOWEST_Hz = 8.4e-4
 """Lowest frequency of a path: three periods take an hour. Slower drives move a leg by less."""
+MOST_FORCE = 3.8
+"""Largest limits.force_N, in the need of the path; `hil check` warns from 4 on."""
 HOLD_Hz = 5.0
 """Bandwidth of an emulated drive's own reactions."""
 ROOM = 1.01
@@ -216,14 +219,23 @@ def steps(a: Answers, rate_Hz: float) -> tuple[float, float]:
 def limits(a: Answers, home: AtHome, w: Walk, approach_m_s: float) -> dict[str, Any]:
     """Values of section `limits`: needs of path and approach with a margin, at most the drives' ratings."""
     rate_Hz, stroke = a["rate_Hz"], a["stroke_m"]
-    force = min(a["drive_force_N"], raised(2.5 * float(np.abs(w.tau).max())))
+    most, friction = float(np.abs(w.tau).max()), a["coulomb_friction_N"]
+    force, push, allowed = 2.5 * most, 0.0, MonitorSettings().disturbance_m_s2
+    moved = 1.1 * PUSH[True] * home.leg_mass_kg
+    if friction > 0.0:  # room for the probe push on a leg at rest: friction, and a share of the disturbance
+        least = most + 2.2 * friction
+        force = max(force, least, min(MOST_FORCE * most, least + moved * allowed))
+        allowed = lowered(min(allowed, max(0.1, (min(a["drive_force_N"], force) - least) / moved)))
+        push = 2.2 * friction + moved * allowed
+    force = min(a["drive_force_N"], raised(force))
     needed = max(float(np.abs(w.dq).max()), 1.875 * approach_m_s)
     swing = float(window_swing(w.tau, max(1, round(WINDOW_S * rate_Hz))).max())
     free = max(force - home.held_N, 0.1 * force)
     return {
         "force_N": force,
-        "force_step_N": raised(0.2 * force),
-        "force_window_N": raised(max(force, 2.0 * swing)),
+        "disturbance_m_s2": allowed if friction > 0.0 else None,
+        "force_step_N": raised(0.2 * force + 2.0 * friction),
+        "force_window_N": raised(max(force, 2.0 * swing, swing + push)),
         "speed_m_s": min(a["drive_speed_m_s"], raised(2.5 * needed)),
         "deceleration_m_s2": lowered(0.5 * free / home.leg_mass_kg),
         "stroke_margin_m": rounded(0.02 * stroke),

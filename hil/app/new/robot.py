@@ -30,7 +30,7 @@ MOUNTINGS = {"standing": [0.0, 0.0, -9.81], "wall": [-9.81, 0.0, 0.0], "hanging"
 STRONGEST_m_s2 = 100.0
 _NOT_ASKED: Answers = {
     "mounting": "standing", "mass_kg": 1.0, "com_height_m": 0.0, "inertia_kg_m2": ESTIMATE,
-    "leg_mass_kg": 0.0, "reflected_mass_kg": 0.0,
+    "leg_mass_kg": 0.0, "reflected_mass_kg": 0.0, "coulomb_friction_N": 0.0, "viscous_friction_N_s_m": 0.0,
 }  # fmt: skip
 """Defaults that are enough for the geometry, before the other questions."""
 
@@ -100,8 +100,9 @@ def _tensor(a: Answers) -> Any:
 
 
 def _guessed_legs(a: Answers) -> Answers:
-    length, cylinder = a["length_min_m"], LOWER_SHARE * a["leg_mass_kg"]
-    rod = (1.0 - LOWER_SHARE) * a["leg_mass_kg"]
+    length, leg = a["length_min_m"], a["leg_mass_kg"]
+    cylinder = a.get("cylinder_mass_kg", LOWER_SHARE * leg)
+    rod = leg - cylinder
     return {
         "cylinder_kg": cylinder,
         "cylinder_com": length / 2,
@@ -125,9 +126,14 @@ def condition_at_home(a: Answers) -> float:
 
 def robot_at_home(a: Answers) -> AtHome:
     """Robot at home from the answers so far. Raises GeometryError: impossible moments of inertia."""
-    s = platform_settings(a)
+    s, a = platform_settings(a), _NOT_ASKED | a
     platform, home, still = build_platform(s), pose_arrays(s.home), np.zeros(6)
-    model = Model(platform, reflected_mass=np.full(6, (_NOT_ASKED | a)["reflected_mass_kg"]))
+    model = Model(
+        platform,
+        reflected_mass=a["reflected_mass_kg"],
+        viscous=a["viscous_friction_N_s_m"],
+        coulomb=a["coulomb_friction_N"],
+    )
     J = jacobian(platform, *home)
     M = np.linalg.solve(J.T, np.linalg.solve(J.T, model.mass_matrix(*home)).T)
     feel = float(np.linalg.eigvalsh((M + M.T) / 2).max())

@@ -35,9 +35,13 @@ def loop_at_home(c: Configuration) -> tuple[float | None, float | None]:
 
     None: unlimited, unknown, or the loop is unstable. Raises ConfigurationError.
     """
-    at_home = c.model_copy(update={"reference": HoldReference(type="hold")})
-    sampled = judge(at_home).figures.get("sampled", {})
+    sampled = at_home(c).figures.get("sampled", {})
     return sampled.get("cross_over_rad_s"), sampled.get("delay_margin_ms")
+
+
+def at_home(c: Configuration, stated: Stated | None = None) -> Assessment:
+    """Result of the stability proof for a reference that holds home. Raises ConfigurationError."""
+    return judge(c.model_copy(update={"reference": HoldReference(type="hold")}), stated)
 
 
 def _judge(c: Configuration, stated: Stated, tell: Callable[[float, float], None]) -> Assessment:

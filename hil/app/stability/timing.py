@@ -55,8 +55,20 @@ def to_spare(c: Configuration, margin_s: float) -> tuple[float, str]:
         silent_s = 1e-3 * c.drives.watchdog_ms - T
         rows.append((silent_s, f"drives.watchdog_ms {c.drives.watchdog_ms:g} ends a longer gap of commands"))
     if traits.answers_name_sync and c.bus.layout != "ideal":
-        budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz, c.folder)
-        sent_s = 1e-9 * max(each.total_ns for each in budgets) + 1e-6 * COMPUTE_US
-        until_s = max(0.0, T - (sent_s if stated_delay(c) is None else delay.transport_s))
+        until_s = max(0.0, T - (transport_s(c) if stated_delay(c) is None else delay.transport_s))
         rows.append((until_s, "drives refuse commands after the next SYNC"))
     return min(rows)
+
+
+def transport_s(c: Configuration) -> float:
+    """Time from the encoder sample until the drives have the command, s: frames, computing; none if `ideal`.
+
+    Drives whose next poll carries the command sample and receive in one frame: exactly that many periods.
+    """
+    if c.bus.layout == "ideal":
+        return 0.0
+    if polls := build_protocol(c.bus, c.drives).traits.command_delay_ticks:
+        return polls / c.loop.rate_Hz
+    budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz, c.folder)
+    sent_s = 1e-9 * max(each.total_ns for each in budgets) + 1e-6 * COMPUTE_US
+    return min(sent_s, 1.0 / c.loop.rate_Hz)

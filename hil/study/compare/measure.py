@@ -31,8 +31,6 @@ from plant_fmu.faults.plan import FaultPlan
 
 SETTLE_PERIODS = 30.0
 """Settling time around a step, in time constants 1 / wn: exp(-30) is negligible; an integral is slower."""
-UNKNOWN = np.full(6, np.nan)
-"""True lengths (6,), which are not measured here."""
 
 
 class Job(NamedTuple):
@@ -93,9 +91,10 @@ def measure(job: Job) -> Outcome:
 
 def _measure(job: Job) -> Outcome:
     c = job.configuration
-    rows = _run(c, job.duration_s, load=job.disturbance)
-    fault, tracked = _fault(rows), rows[rows["mode"] == Mode.TRACKING]
-    figures = _tracking(tracked) if len(tracked) else {}
+    rows, lengths = _run(c, job.duration_s, load=job.disturbance)
+    fault, on_path = _fault(rows), rows["mode"] == Mode.TRACKING
+    tracked = rows[on_path]
+    figures = _tracking(tracked, lengths[on_path]) if len(tracked) else {}
     figures["limited_ticks"] = limited_ticks(tracked)
     traces: dict[str, Array] = {
         "t": tracked["reference_time_s"],
@@ -118,12 +117,13 @@ def _run(
     *,
     trajectory: Trajectory | None = None,
     load: DisturbanceSettings | None = None,
-) -> Rows:
-    """Tick rows from the start until `duration_s` of tracking, the end of the trajectory, or a fault."""
+) -> tuple[Rows, Array]:
+    """Tick rows (n,) until `duration_s` of tracking, the path's end, or a fault; true lengths (n, 6) m."""
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3, trajectory=trajectory)
     nodes, physics = build_nodes(c, None if load is None else FaultPlan([_wrench(load)]))
     rows: list[Rows] = []
+    lengths: list[Array] = []
     begun: int | None = None
     ticks = math.floor(duration_s * rate + 1e-6)
     course = Course(cycle)
@@ -131,12 +131,13 @@ def _run(
         lockstep = build_lockstep(c, cycle, nodes)
         while True:
             rows.append(lockstep.step(course.commands(lockstep.tick + 1))[2].row)
+            lengths.append(nodes.snapshot().length)
             mode = cycle.mode
             if mode is Mode.TRACKING and begun is None:
                 begun = lockstep.tick
             over = rows[-1]["faults"] or course.ending(lockstep.tick)
             if over or (begun is not None and (mode is not Mode.TRACKING or lockstep.tick - begun >= ticks)):
-                return np.array(rows, ROW)
+                return np.array(rows, ROW), np.array(lengths)
     finally:
         physics.close()
 
@@ -155,10 +156,10 @@ def _fault(rows: Rows) -> str | None:
     return None if (rows["mode"] == Mode.TRACKING).any() else f"did not start: {mode.name}"
 
 
-def _tracking(rows: Rows) -> dict[str, Any]:
+def _tracking(rows: Rows, lengths: Array) -> dict[str, Any]:
     measured = Measurement(travels=False)
-    for row in rows:
-        measured.take(row, UNKNOWN)
+    for row, length in zip(rows, lengths, strict=True):
+        measured.take(row, length)
     return {name: value for name, value in measured.figures().items() if value is not None}
 
 
@@ -178,7 +179,7 @@ def _at_rest(
     # Half a tick early: the sum of periods may fall short of the instant by its rounding.
     trajectory = StepTrajectory(p, R, p1, R1, (n - 0.5) / rate, (stretches + 1) * n / rate)
     stays = None if d is None else d.model_copy(update={"start_s": (2 * n - 0.5) / rate, "stop_s": None})
-    rows = _run(c, stretches * n / rate, trajectory=trajectory, load=stays)
+    rows, _ = _run(c, stretches * n / rate, trajectory=trajectory, load=stays)
     fault, rows = _fault(rows), rows[rows["mode"] == Mode.TRACKING]
     before, after, loaded = rows[:n], rows[n : 2 * n], rows[2 * n :]
     figures: dict[str, Any] = {}

@@ -218,10 +218,11 @@ def test_hil_new_refuses_a_rate_too_high_for_one_bus_with_the_needed_bus_count(t
 
 def test_hil_new_repeats_a_question_after_an_implausible_answer(tmp_path):
     path = tmp_path / "r.yaml"
-    typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan legs FD 1 1000"
+    typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 9 2.8 100 800 0.3 5 0 0 1e-6 800 50 "
+    typed += "localcan legs FD 1 1000"
     done = new(path, "", answers="\n".join(typed.split()) + "\n")
     assert done.exit_code == 0, done.output
-    assert done.output.count("impossible: ") == 2
+    assert done.output.count("impossible: ") == 3
     assert "impossible: a telescopic leg of 0.5 m" in done.output
     asked, given = tmp_path / "a.yaml", ROBOTS["table"]
     assert new(asked, given).exit_code == 0
@@ -291,3 +292,56 @@ def test_brake_time_of_hil_new_covers_closing_and_stopping_the_fastest_leg():
         # weight that leaves a brake less than a twentieth of its force: 50 N
         weak = derive.closing_s(a | {"brake_force_N": 401.0}, bearing, 1.0)
         assert weak == pytest.approx(1.2 * (0.05 + 60.0 / 20.05), rel=0.04)
+
+
+def test_reflected_mass_takes_the_inertia_of_a_rotor_and_the_lead_of_its_screw(tmp_path):
+    """I (2 pi / lead)^2: 5e-5 kg m^2 on a 5 mm screw are 78.96 kg."""
+    path = tmp_path / "screws.yaml"
+    assert (
+        new(path, ROBOTS["stand"].replace("--reflected-mass 20", "--reflected-mass 5e-5@0.005")).exit_code
+        == 0
+    )
+    c: Any = load(path)
+    assert c.plant.model.reflected_mass_kg == pytest.approx(78.957, abs=1e-3)
+    assert c.controller.model.reflected_mass_kg == c.plant.model.reflected_mass_kg
+
+
+@pytest.mark.parametrize("typed", ["5e-5@0", "5e-5@", "rotor@0.005", "-1"])
+def test_reflected_mass_that_is_no_mass_is_refused_with_what_is_allowed(typed, tmp_path):
+    done = new(tmp_path / "r.yaml", ROBOTS["stand"], "--reflected-mass", typed)
+    assert done.exit_code == 2
+    assert "--reflected-mass" in done.output
+
+
+def test_stated_friction_is_compensated_and_is_in_the_plant(tmp_path):
+    path = tmp_path / "r.yaml"
+    friction = ["--coulomb-friction", "60", "--viscous-friction", "200"]
+    done = new(path, ROBOTS["stand"], *friction)
+    assert done.exit_code == 0, done.output
+    c: Any = load(path)
+    for part in (c.controller.model, c.plant.model):
+        assert (part.coulomb_friction_N, part.viscous_friction_N_s_m) == (60.0, 200.0)
+    assert not any("force_N" in warning for warning in inspect(c).warnings)
+
+
+def test_friction_above_half_of_the_rated_force_is_refused(tmp_path):
+    done = new(tmp_path / "r.yaml", ROBOTS["stand"], "--coulomb-friction", "1600")
+    assert done.exit_code == 2
+    assert "at most 1500 N" in " ".join(done.output.split())
+
+
+def test_without_options_a_new_robot_has_no_friction(tmp_path):
+    path = tmp_path / "r.yaml"
+    assert new(path, ROBOTS["stand"]).exit_code == 0
+    c: Any = load(path)
+    assert c.plant.model.coulomb_friction_N == c.controller.model.coulomb_friction_N == 0.0
+
+
+def test_masses_of_both_halves_of_a_leg_are_those_given(tmp_path):
+    path = tmp_path / "r.yaml"
+    assert new(path, ROBOTS["stand"], "--cylinder-mass", "12").exit_code == 0
+    platform = load(path).platform
+    assert (platform.cylinder.mass_kg, platform.rod.mass_kg) == (12.0, 3.0)
+    too_heavy = new(tmp_path / "heavy.yaml", ROBOTS["stand"], "--cylinder-mass", "16")
+    assert too_heavy.exit_code == 2
+    assert "15 kg" in too_heavy.output

@@ -12,11 +12,12 @@ CLAIMS_FLAGS ?=
 # if it is set, each of some hundred test processes compiles the project again
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test long fuzz mutants soak lint bench claims docs format lock clean venv fmu kernels viewers
+.PHONY: help run test long fuzz mutants soak lint bench claims docs format lock release publishable portability clean \
+	venv fmu kernels viewers releasers
 
 help:  ## list the targets
 	@echo "make TARGET, where TARGET is"
-	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  %-8s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  %-11s %s\n", $$1, $$2}' Makefile
 
 run: fmu  ## run the loop in real time: controller, virtual CAN bus, six drives and the platform's FMU
 	@exec $(BIN)/hil run virtual --plant --arm
@@ -61,6 +62,15 @@ format: venv  ## format with ruff, and fix what ruff can fix
 lock:  ## update the lock files (needs uv)
 	@UV="$(UV)" sh tools/lock
 
+release: releasers  ## sdist, wheel with the FMUs of five platforms, bill of materials; installed and tried without a compiler
+	@exec $(BIN)/python -m tools.release
+
+publishable: releasers  ## the same, refused while tag, date of the changelog or addresses are missing
+	@exec $(BIN)/python -m tools.release --publish
+
+portability: venv  ## all tests with each Python in PYTHONS="python3.12 python3.13"; the results go into docs/portability.md
+	@exec $(BIN)/python -m tools.portability $(PYTHONS)
+
 clean:  ## remove .venv, builds and caches; logs in runs/ stay
 	@rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -76,3 +86,6 @@ kernels: fmu
 
 viewers: venv  ## install the extra `viewers` (Rerun, Foxglove; 0.7 GB) into .venv
 	@$(BIN)/python -m pip install --quiet --require-hashes --only-binary :all: --no-deps -r requirements-viewers.lock
+
+releasers: venv
+	@$(BIN)/python -m pip install --quiet --require-hashes --only-binary :all: --no-deps -r requirements-release.lock

@@ -7,6 +7,8 @@ name is imported at its first use, so that `import hil` and reading a log need n
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -66,10 +68,25 @@ _HOMES = {
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 
+def foreign_package() -> str:
+    """Sentence about a package that hides `drivers`, `plant_fmu` or `configs` of this project; else empty."""
+    for name in ("drivers", "plant_fmu", "configs"):
+        spec = find_spec(name)
+        found = Path(spec.origin).resolve().parent if spec and spec.origin else None
+        if found != Path(__file__).resolve().parents[1] / name:
+            return (
+                f"{found} hides the package {name!r} of hexapod-hil: take {found and found.parent} off "
+                "PYTHONPATH, or install hexapod-hil into an environment of its own"
+            )
+    return ""
+
+
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if found := foreign_package():
+        raise ImportError(found)
     return getattr(import_module(_HOME[name]), name)
 
 

@@ -9,10 +9,17 @@ if _handler is signal.default_int_handler:  # Ctrl-C during these imports ends t
 
 import gc
 import os
+import sys
 from importlib import import_module
 from typing import Any
 
 import click
+
+from hil import foreign_package
+
+if _found := foreign_package():
+    print(f"Error: {_found}", file=sys.stderr)
+    sys.exit(2)
 
 from hil.cli.interrupts import attached, one_line_of_interrupt
 
@@ -121,9 +128,16 @@ class _Table(click.Group):
             formatter.write_dl([*COMMANDS.items(), *_foreign().items()])
 
 
-@click.group(cls=_Table, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(package_name="hexapod-hil", prog_name="hil")
-def main() -> None:
+@click.group(
+    cls=_Table,
+    invoke_without_command=True,
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.option("--version", is_flag=True, help="Show the version; with -v all that a bug report needs.")
+@click.option("-v", "--verbose", is_flag=True, help="With --version: machine, packages, FMU, caches.")
+@click.pass_context
+def main(ctx: click.Context, version: bool, verbose: bool) -> None:
     """Hardware-in-the-loop bridge for six-legged parallel robots on CAN.
 
     \b
@@ -155,6 +169,13 @@ def main() -> None:
       130  interrupted by Ctrl-C before there was a result; one line states what was saved
       141  the reader of its output has closed the pipe, as `| head -1` does
     """
+    if version:
+        from hil.app.about import about
+
+        click.echo("\n".join(about(verbose=verbose)))
+        ctx.exit()
+    if ctx.invoked_subcommand is None:
+        raise click.UsageError("Missing command.", ctx)
 
 
 __all__ = ["main"]

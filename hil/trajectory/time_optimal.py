@@ -5,10 +5,9 @@ Ruckig plans while the trajectory is built; the cycle evaluates the resulting po
 
 import io
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
-from ruckig import InputParameter, Profile, Ruckig, Synchronization
-from ruckig import Trajectory as Plan
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, LogError
@@ -103,6 +102,14 @@ def _least_s(way: Array, limits: Array) -> float:
 
 def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:
     """Knots (n + 1,) from 0 and coefficients (n, 6, 6) of one move from rest to rest."""
+    try:
+        from ruckig import InputParameter, Ruckig, Synchronization  # noqa: PLC0415 - not on every platform
+        from ruckig import Trajectory as Plan  # noqa: PLC0415
+    except ModuleNotFoundError:
+        raise ConfigurationError(
+            "reference: time-optimal moves need ruckig, which has no binary package for this platform: "
+            "pip install ruckig, with a C++ compiler; or reference.type: waypoints"
+        ) from None
     request = InputParameter(6)
     request.current_position, request.target_position = start.tolist(), end.tolist()
     request.max_velocity, request.max_acceleration, request.max_jerk = limits.tolist()
@@ -133,7 +140,7 @@ def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:
     return t, coefficients
 
 
-def _states(profile: Profile) -> tuple[Array, Array]:
+def _states(profile: Any) -> tuple[Array, Array]:
     """Instants (n,) s of an axis; (n, 4): position, velocity, acceleration and the jerk from there on."""
     instants = np.concatenate([[0.0], np.cumsum(profile.t)])
     jerk = [*profile.j, 0.0]

@@ -301,10 +301,13 @@ def major(description: Any) -> int:
 
 
 def library_candidates(major: int, identifier: str) -> list[str]:
-    """Possible paths of this machine's shared library inside an FMU, preferred first."""
+    """Possible paths of this machine's shared library inside an FMU, preferred first.
+
+    FMI 2.0 has folders for x86 processors only: on ARM `linux64` may hold a binary of another processor.
+    """
     file = f"{identifier}{fmpy.sharedLibraryExtension}"
     modern = f"binaries/{fmpy.platform_tuple}/{file}"
-    return [modern] if major >= 3 else [f"binaries/{fmpy.platform}/{file}", modern]
+    return [modern] if major >= 3 else [modern, f"binaries/{fmpy.platform}/{file}"]
 
 
 def library(description: Any, members: Sequence[str], path: Path) -> str:
@@ -318,7 +321,7 @@ def library(description: Any, members: Sequence[str], path: Path) -> str:
             return candidate
     offered = sorted({m.split("/")[1] for m in members if m.startswith("binaries/") and m.count("/") >= 2})
     raise PlantError(
-        f"{path}: the FMU has no binary for this machine ({shown(candidates[0])}); it has binaries for "
+        f"{path}: the FMU has no binary for this machine ({shown(candidates[-1])}); it has binaries for "
         f"{shown(', '.join(offered)) or 'none'}. Export it for {fmpy.platform_tuple} or compile its sources"
     )
 

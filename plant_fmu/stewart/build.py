@@ -30,6 +30,10 @@ from plant_fmu.stewart.description import (
 from plant_fmu.stewart.variables import VARIABLES, Variable, header, tables
 
 SOURCES = Path(__file__).parent / "sources"
+ATTACHED = Path(__file__).parent / "attached"
+"""Files that go into the FMU as they are: documentation, icon, reference results."""
+_OF_BOTH = ("icon.png", "documentation/licenses/license.txt")
+_ICON = {"2.0": "model.png", "3.0": "terminalsAndIcons/icon.png"}
 _COMMON = ("mechanics.c", "contact.c", "plant.c", "plant.h", "face.h")
 _DRIVES = ("drives.c", "drives.h", "frames.h", "terminal.h")
 FLAGS = (*COMPILER_OPTIONS.split(), "-fvisibility=hidden", "-shared")
@@ -132,6 +136,19 @@ def _digest(parts: dict[str, bytes]) -> str:
     return total.hexdigest()
 
 
+def _attached_files(version: FmiVersion, model: Model) -> dict[str, bytes]:
+    """Contents by place in the FMU; the CAN FMU has other variables than page and reference results."""
+    paths = {path.relative_to(ATTACHED).as_posix(): path for path in ATTACHED.rglob("*") if path.is_file()}
+    names = [name for name in sorted(paths) if not model.bus or name in _OF_BOTH]
+    return {(_ICON[version] if name == "icon.png" else name): paths[name].read_bytes() for name in names}
+
+
+def shipped(version: FmiVersion) -> Path | None:
+    """FMU that a wheel of a release contains, with binaries for all of TARGETS; None elsewhere."""
+    path = Path(__file__).with_name(f"{MODEL_IDENTIFIER}_fmi{version[0]}.fmu")
+    return path if path.is_file() else None
+
+
 def token(version: FmiVersion, model: Model = PLANT) -> str:
     """Instantiation token of the FMU: a hash of its sources and model description."""
     files = _source_files(version, model)
@@ -146,10 +163,10 @@ def _compile(compiler: Compiler, key: str, folder: Path, units: list[str]) -> by
     out = folder / f"{key}{target.suffix}"
     command = [*compiler.command, *FLAGS]
     if compiler.zig:
-        command += ["-target", target.zig]
+        command += ["-target", target.zig, "-s"]  # debugging information would name the folder
     if target.suffix == ".so":
         command += ["-fPIC"]
-    command += ["-o", str(out), *units]
+    command += ["-o", out.name, *units]  # a library for macOS names itself so
     if target.suffix != ".dll":
         command += ["-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -178,6 +195,7 @@ def _pack(
     if version == "3.0":
         members["sources/buildDescription.xml"] = build_description(units)
     members |= {f"sources/{name}": data for name, data in sorted(sources.items())}
+    members |= _attached_files(version, model)
     for key, data in binaries.items():
         target = TARGETS[key]
         system, processor = key.split("-")
@@ -200,22 +218,30 @@ def build(
     release: bool = False,
     bus: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Build our plant's FMU, or take it from the cache; return its path.
+    """Build our plant's FMU, or take it from the wheel or the cache; return its path.
 
-    out: path for a copy; None returns the cached file itself. release: binaries for all of TARGETS,
+
+    out: path for a copy; None returns that file itself. release: binaries for all of TARGETS,
     cross-compiled with zig; otherwise one for this machine. bus: start values of parameters, for the CAN FMU
     of drives and plant (FMI 3.0), see `can`. The same sources and compiler give the same bytes.
 
     Raises PlantError without a compiler, on a failed compilation, and if cache or copy cannot be written.
     """
+    ready = shipped(fmi_version) if bus is None and not release else None
+    model = PLANT if bus is None else Model(can.can_rows(bus), bus=True)
+    return _copied(ready or _built(fmi_version, model, release=release), out)
+
+
+def _built(fmi_version: FmiVersion, model: Model, *, release: bool) -> Path:
+    """Path of the FMU in the cache, where it is built if it is missing."""
     keys = list(TARGETS) if release else [this_machine()]
     compiler = find_compiler(zig=release)
-    model = PLANT if bus is None else Model(can.can_rows(bus), bus=True)
     guid = token(fmi_version, model)
     sources = _source_files(fmi_version, model)
     sources["model.c"] = tables(guid, model.rows).encode()
     recipe = repr((compiler.identity, FLAGS, keys, [TARGETS[k] for k in keys], fmi_version))
-    digest = _digest({**sources, "recipe": recipe.encode() + Path(__file__).read_bytes()})
+    attached = _attached_files(fmi_version, model)
+    digest = _digest({**sources, **attached, "recipe": recipe.encode() + Path(__file__).read_bytes()})
     cached = cache_folder() / "fmu" / digest[:24] / f"{MODEL_IDENTIFIER}_fmi{fmi_version[0]}.fmu"
     try:
         if not cached.is_file():
@@ -232,11 +258,15 @@ def build(
         raise PlantError(
             f"the FMU could not be written: {error}; set XDG_CACHE_HOME to a folder that can be written"
         ) from error
+    return cached
+
+
+def _copied(fmu: Path, out: Path | None) -> Path:
     if out is None:
-        return cached
+        return fmu
     try:
         with whole_file(out) as temporary:
-            shutil.copyfile(cached, temporary)
+            shutil.copyfile(fmu, temporary)
     except OSError as error:
         raise PlantError(f"{out}: the FMU cannot be written: {error.strerror or error}") from error
     return out

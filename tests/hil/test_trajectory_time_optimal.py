@@ -1,6 +1,7 @@
 """Time-optimal moves: durations in closed form, limits reached but never exceeded, straight lines, replay."""
 
 import io
+import sys
 from itertools import pairwise
 
 import numpy as np
@@ -196,3 +197,9 @@ def test_moves_of_more_than_a_day_are_refused():
     there, back = ((0, 0, 1), (0, 0, 0)), ((0.3, 0, 1), (0, 0, 0))
     with pytest.raises(ConfigurationError, match=r"reference.limits: .*86400 s"):
         build([there, back] * 10, limits=dict(LIMITS, velocity_m_s=0.3 / 5000))
+
+
+def test_time_optimal_reference_without_ruckig_is_refused_with_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ruckig", None)
+    with pytest.raises(ConfigurationError, match="pip install ruckig"):
+        build()

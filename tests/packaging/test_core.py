@@ -19,11 +19,12 @@ def hil(folder, *words):
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_hil_check_sim_and_replay_run_without_the_optional_extras(tmp_path):
+def test_check_sim_replay_and_report_run_without_the_optional_extras(tmp_path):
     for words in (
         ["check", "virtual"],
         ["sim", "virtual", "--duration", "0.1", "--log", "a.mcap"],
         ["replay", "a.mcap"],
+        ["report", "a.mcap"],
     ):
         done = hil(tmp_path, *words)
         assert done.returncode == 0, done.stderr

@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
-LOCKS = ["requirements.lock", "requirements-compiler.lock", "requirements-viewers.lock"]
+LOCKS = [f"requirements{name}.lock" for name in ("", "-compiler", "-viewers", "-release")]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
@@ -53,9 +53,15 @@ def assert_locked(wanted: list[str], versions: dict[str, set[str]]) -> None:
 
 def test_every_requirement_in_pyproject_is_in_the_lock_file():
     wanted = [*PROJECT["project"]["dependencies"], *PROJECT["build-system"]["requires"]]
-    for group in PROJECT["dependency-groups"].values():
-        wanted += group
+    for name, group in PROJECT["dependency-groups"].items():
+        wanted += group if name != "release" else []
     assert_locked(wanted, locked("requirements.lock"))
+
+
+def test_lock_file_of_the_release_tools_has_the_compiler_of_the_compiler_lock_file():
+    tools, compiler = locked("requirements-release.lock"), locked("requirements-compiler.lock")
+    assert_locked(PROJECT["dependency-groups"]["release"], tools)
+    assert tools["ziglang"] == compiler["ziglang"]
 
 
 def test_lock_file_of_the_viewers_has_the_versions_of_the_main_lock_file():

@@ -1,6 +1,7 @@
 """Build of our FMU: choice of compiler, reproducible bytes, a token of the content, the cache, machines."""
 
 import ctypes
+import io
 import re
 import subprocess
 import sys
@@ -8,8 +9,10 @@ import zipfile
 from pathlib import Path
 
 import fmpy
+import numpy as np
 import pytest
 from fmpy.fmi3 import FMU3Slave
+from fmpy.validation import validate_fmu
 
 from drivers.errors import PlantError
 from plant_fmu.stewart import build as builder
@@ -42,6 +45,42 @@ def test_two_builds_of_the_fmu_from_the_same_sources_are_equal_in_every_byte(ver
     assert [p.name for p in (tmp_path / "hexapod-hil" / "fmu").glob("*/*")] == [
         f"stewart_fmi{version[0]}.fmu"
     ]
+
+
+def reference_of(archive):
+    """Names of the inputs and their values; table of the reference results by column."""
+    folder = "extra/org.fmi-standard.fmi-ls-ref/"
+    stimuli, table = (
+        np.genfromtxt(io.BytesIO(archive.read(folder + name)), delimiter=",", names=True, deletechars="")
+        for name in ("stimuli.csv", "reference.csv")
+    )
+    return stimuli[0], table
+
+
+def test_fmu_moves_as_its_reference_results_from_another_model(direct):
+    """The FMU against DOP853 on the controller's model, which shares no line with the plant."""
+    plant = direct()
+    with zipfile.ZipFile(build("3.0")) as archive:
+        stimuli, table = reference_of(archive)
+    plant.start(**{n: [stimuli[f"{n}[{i + 1}]"] for i in range(6)] for n in ("force", "brake", "wrench")})
+    for row in table:
+        for name, size, limit in (("position", 3, 1e-9), ("length", 6, 1e-9), ("rate", 6, 1e-8)):
+            want = [row[f"{name}[{i + 1}]"] for i in range(size)]
+            assert np.abs(plant.get(name) - want).max() <= limit, (name, row["time"])
+        plant.step(1e-3, 10)
+    assert abs(table["rate[1]"][-1]) > 1.0
+
+
+@pytest.mark.parametrize(("version", "icon"), [("2.0", "model.png"), ("3.0", "terminalsAndIcons/icon.png")])
+def test_fmu_has_icon_documentation_licence_and_reference_results(version, icon):
+    with zipfile.ZipFile(build(version)) as archive:
+        assert archive.read(icon).startswith(b"\x89PNG")
+        assert b"</html>" in archive.read("documentation/index.html")
+        assert b"Apache-2.0" in archive.read("documentation/licenses/license.txt")
+        stimuli, table = reference_of(archive)
+    names = {v.name for v in fmpy.read_model_description(str(build("2.0"))).modelVariables}
+    assert {*stimuli.dtype.names, *table.dtype.names} <= names
+    assert validate_fmu(str(build(version))) == []
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -1,6 +1,7 @@
 """A log of another version is refused in one sentence with the difference and the version that replays it."""
 
 from enum import IntEnum
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -82,7 +83,8 @@ def test_log_with_other_columns_is_not_replayed_but_readable(tmp_path, columns, 
     assert result.exit_code == 2
     assert isinstance(result.exception, SystemExit)
     sentence = " ".join(result.stderr.split())
-    assert f"its columns differ ({difference}): replay it with the build of version 0.2.0" in sentence
+    other = f"the build of version {version('hexapod-hil')}"
+    assert f"its columns differ ({difference}): replay it with {other}" in sentence
     assert_same(Log.open(tmp_path / "a.mcap").ticks(), ticks)
 
 

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from drivers.arrays import Array, Ints, Rows
 from drivers.signals import LEGS, Fault, Mode
@@ -97,10 +96,7 @@ def _forces(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Iter
     n = max(2, round(WINDOW_S * rate_Hz) + 1)
     gaps = np.append(np.clip(np.diff(rows["tick"]), 1, n), 1)
     places, held = np.cumsum(gaps) - gaps, np.repeat(tau, gaps, axis=0)
-    low, high = (
-        extreme(held, n, axis=0, mode="nearest", origin=(n - 1) // 2)[places]
-        for extreme in (minimum_filter1d, maximum_filter1d)
-    )
+    low, high = (_running(extreme, held, n)[places] for extreme in (np.minimum, np.maximum))
     name, change = f"change of force within {1e3 * WINDOW_S:g} ms", np.maximum(tau - low, high - tau)
     yield name, "limits.force_window_N", change, "tau", powered
 
@@ -177,8 +173,17 @@ def _lasting(values: Array, ticks: int) -> Array:
     """Smallest of the last `ticks` values in each row, (n,) or (n, 6): a level kept that long; NaN is 0."""
     n = min(ticks, len(values) + 1)
     filled = np.where(np.isnan(values), 0.0, values)
-    least: Array = minimum_filter1d(filled, n, axis=0, origin=(n - 1) // 2, mode="constant")
-    return least
+    return _running(np.minimum, np.concatenate([np.zeros_like(filled[:1]), filled]), n)[1:]
+
+
+def _running(extreme: np.ufunc, values: Array, n: int) -> Array:
+    """Minimum or maximum of each row and the n - 1 rows before it, as far as there are; values (m, ...)."""
+    width = 1
+    while width < n:
+        shift = min(width, n - width)
+        before = np.concatenate([np.repeat(values[:1], shift, axis=0), values])[: len(values)]
+        values, width = extreme(values, before), width + shift
+    return values
 
 
 def _recent(which: Mask) -> Array:

@@ -220,7 +220,6 @@ def build(
 ) -> Path:
     """Build our plant's FMU, or take it from the wheel or the cache; return its path.
 
-
     out: path for a copy; None returns that file itself. release: binaries for all of TARGETS,
     cross-compiled with zig; otherwise one for this machine. bus: start values of parameters, for the CAN FMU
     of drives and plant (FMI 3.0), see `can`. The same sources and compiler give the same bytes.

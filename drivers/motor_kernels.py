@@ -14,6 +14,7 @@ from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import FAILED, call, integers_at, pointed, reals_at, record_at, records_at
 from drivers.frame_array import FRAME
 from drivers.frame_pointers import begin_measurement, code, frames_at, now_owed, still_owed, whole
+from drivers.motor_readings import joins
 from drivers.sensing.kernels import put_real, put_single, rows_at
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Foreign
 from drivers.tick_columns import TICK, part
@@ -38,6 +39,7 @@ HEARD = np.dtype(
         ("fault", "<i8"),  # DriveFault, or OWN_CODE and the family's code
         ("register", "<i8"),
         ("value", "<f8"),
+        ("part", "<i8"),  # number of the message, where several make a reading
     ]
 )
 """Content of one frame of a drive; `register` and `value`: an answer of the start-up dialogue; in a BROKEN
@@ -59,6 +61,7 @@ EAR = np.dtype(
         ("stopped", "<i8"),  # fault code of an emergency stop; -1: none
         ("registers", "<i8"),  # 1: the drives answer reads of registers
         ("table", "<i8"),  # address of the mapping of a DBC
+        ("parts", "<i8"),  # messages of a reading that a timer sends; 0: readings answer a poll
         ("flags", "<i8"),  # FD and BRS, if the frames have them
         # used by all families
         ("hear", "<i8"),  # address of that function
@@ -93,6 +96,10 @@ MOTORS = np.dtype(
         ("torque_limit", "<f8"),  # N m
         ("unasked", "<i8"),  # 1: drives also send unrequested readings
         ("reports", "<i8"),  # 1: drives report whether they are enabled
+        # readings that a timer sends
+        ("parts", "<i8"),  # bits of the messages of one
+        ("gap_ns", "<i8"),  # longest time between them
+        ("period_ns", "<i8"),  # period of the loop: older readings are late; 0 with polls
         *FIELDS,
         # start-up dialogue
         ("exchanges", "<i8", (LEGS,)),  # number that each drive has to confirm
@@ -111,6 +118,9 @@ MOTORS = np.dtype(
         ("patience_ticks", "<i8"),  # longest time without such a report: then BOOT
         ("read", "<f8", (LEGS,)),  # value of the last answer, if it was wrong
         ("has_read", "<i8", (LEGS,)),
+        ("got", "<i8", (LEGS,)),  # bits of the received messages of a reading
+        ("began_ns", "<i8", (LEGS,)),  # arrival of the first
+        ("halves", "<f8", (LEGS, HEARD.itemsize // 8)),  # HEARD records of the received messages
         ("scratch", "<f8", (1 + 2 * LEGS, HEARD.itemsize // 8)),  # HEARD records
     ]
 )
@@ -132,7 +142,7 @@ def says(heard: Any, leg: int, has: int) -> int:
     """Initialize the content of a decoded frame (HEARD): its leg and bits of what it has; returns 1."""
     heard.leg, heard.has = leg, has
     heard.turns = heard.speed = heard.torque = heard.value = 0.0
-    heard.power = heard.fault = heard.register = 0
+    heard.power = heard.fault = heard.register = heard.part = 0
     return 1
 
 
@@ -263,7 +273,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     power, said = m.power.copy(), m.said.copy()
     at = np.int64(m.scratch.ctypes.data)
     heard, ear = heard_at(at, 1)[0], ear_at(m.ear)
-    received = frames_at(frames, count)
+    received, halves = frames_at(frames, count), heard_at(np.int64(m.halves.ctypes.data), LEGS)
     taken = 0
     for n in range(count):
         bus = int(received[n].bus)
@@ -273,7 +283,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         if not call(ear.hear, (m.ear, frames + n * _FRAME_BYTES, at)):
             continue
         leg, has = heard.leg, heard.has
-        early = received[n].t_ns < since_ns
+        early = received[n].t_ns < since_ns - m.period_ns
         if not has & FOREIGN and (has & BROKEN or bus != ear.bus_of[leg]):
             tick.rejected += 1
             if bus == ear.bus_of[leg]:
@@ -284,7 +294,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
             _confirm(m, heard)
         elif has & FEEDBACK and not early and taken >> leg & 1 and m.owed[leg] <= 0 and not m.unasked:
             tick.doubled |= int(np.any(m.scratch[1 + leg] != m.scratch[0])) << leg
-        else:
+        elif m.parts == 0 or joins(m, heard, halves[leg], received[n].t_ns, MOTION):
             place = _take(m, heard, early, last, tick)
             if place:
                 m.scratch[place] = m.scratch[0]

@@ -76,7 +76,12 @@ class MotorController(ControllerEnd):
             m["values"][leg, :n] = [each.value for each in exchanges]
         m["power"], m["asked"] = DriveState.BOOT, -RETRY_TICKS
         m["patience_ticks"] = family.patience_ticks(setup.rate_Hz)
-        polls = sent_array(family.polls)[np.newaxis] if family.polls else kernels.begin
+        if family.traits.timed:
+            m["parts"] = (1 << family.tables["parts"]) - 1
+            m["gap_ns"] = round(0.5e9 * family.traits.unasked_s)
+            m["period_ns"] = round(1e9 / setup.rate_Hz)
+        stored = family.commanding is kernels.command
+        polls = kernels.begin if stored else sent_array(family.polls)[np.newaxis]
         super().__init__(m, kernels.decode, family.commanding, polls)
 
     def set_up(self, tick: Record) -> Rows:
@@ -138,7 +143,7 @@ def fresh(e: Any, frame_address: int, _tick: int, since_ns: int) -> int:
     """Leg + 1 of a feedback to this tick's poll, received on the leg's bus after the poll; else 0."""
     frame = frame_at(frame_address)
     at = np.int64(e.heard.ctypes.data)
-    if frame.t_ns < since_ns or frame.bus >= e.buses:
+    if e.parts or frame.t_ns < since_ns or frame.bus >= e.buses:
         return 0
     if not call(e.hear, (address_of(e), frame_address, at)):
         return 0
@@ -259,11 +264,12 @@ class MotorProtocol(Family):
     # common to all families
 
     def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
-        """Properties from an example feedback frame of each drive; own: further fields of `Traits`."""
+        """Properties from example feedbacks, once or more often of each drive; own: fields of `Traits`."""
         torques = self.to_each(self.requests(1.0)[kernels.DRIVE])
         singles = Resolution.of(SINGLE * FARTHEST_m, 0.0, 0.0)
         same = {"resolution": singles, "feedback_ids": frozenset(self.wanted)}
-        return Traits(sent=(*self.polls, *torques), feedbacks=self.to_each(feedbacks), **same | own)
+        answers = tuple(self.to_leg(k % LEGS, frame) for k, frame in enumerate(feedbacks))
+        return Traits(sent=(*self.polls, *torques), feedbacks=answers, **same | own)
 
     def fault_text(self, code: int) -> str:
         """Meaning of a value of the column `drive_fault` from OWN_CODE on; empty if unknown."""

@@ -143,7 +143,8 @@ class Traits:
     feedback_ids: frozenset[int]
     """Values of `awaited` for all frames of the six feedbacks of a tick.
 
-    The drain waits for these. They are identifiers, unless `shares_identifiers`."""
+    The drain waits for these. They are identifiers, unless `shares_identifiers`. Empty for drives that send
+    by their timer alone (`unasked_s`): the newest reading since the last tick counts."""
     echoes: tuple[Frame, ...] = ()
     """One example of every answer to a command; it only takes bus time."""
     shares_identifiers: bool = False
@@ -172,13 +173,27 @@ class Traits:
     latches_together: bool = False
     """True if one SYNC latches all encoders of a bus; else each drive has a poll or clock of its own."""
     unasked_s: float = 0.0
-    """Period of the readings that each drive sends by a timer as well as to a poll, s; 0: none."""
+    """Period of the readings that each drive sends by a timer, with or without a poll, s; 0: none."""
     has_watchdog: bool = True
     """True if `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
     power_told: Literal["feedback", "heartbeat", "never"] = "feedback"
     """Message by which a drive reports that it is no longer enabled."""
     reported_lengths: tuple[Array, Array] | None = None
     """Shortest and longest leg lengths, (6,) m, that feedback can carry; None: no limit."""
+
+    @property
+    def timed(self) -> bool:
+        """True if the drives send their readings by their timer alone."""
+        return self.unasked_s > 0.0 and not self.feedback_ids
+
+    def stray(self, unasked: float, asked: float, rate_Hz: float) -> float:
+        """Share of a period of the loop by which a reading may have been sampled before its stated instant.
+
+        unasked, asked: that share where a timer may have sent an answer, and where a poll is answered.
+        """
+        if self.timed:
+            return asked + self.unasked_s * rate_Hz
+        return unasked if self.unasked_s > 0.0 else asked
 
     @property
     def cyclic_frames(self) -> tuple[Frame, ...]:

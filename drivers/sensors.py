@@ -30,6 +30,8 @@ from drivers.sensing.layout import (
     LENGTH,
     OFFSET,
     ROW,
+    SELECTS,
+    SKIPS,
     SLOTS,
     STAMPED,
     TRACKER,
@@ -195,23 +197,31 @@ class SensorProtocol:
         return tuple(found.values())
 
     def refuse_clashes(self, protocol: Family) -> None:
-        """Raise ConfigurationError for an identifier that two nodes of a bus use."""
+        """Raise ConfigurationError for an identifier that two nodes of a bus use.
+
+        Two roles may read one message of a DBC: it comes at one instant.
+        """
         traits = protocol.traits
         requests = {(f.bus, f.id, f.flags & EXTENDED) for own in traits.identity_requests for f in own}
-        taken = {(f.bus, f.id, f.flags & EXTENDED): "a drive" for f in traits.cyclic_frames}
+        taken: dict[tuple[int, ...], tuple[Any, ...]] = {
+            (f.bus, f.id, f.flags & EXTENDED): ("a drive",) for f in traits.cyclic_frames
+        }
         for each in self.sensors.values():
-            mine = f"sensors.{each.role}"
+            mine, own = f"sensors.{each.role}", [each.rate_Hz, each.device.timing, each.device.database]
             frames = [Frame(of.id, b"", of.flags & EXTENDED) for of in each.device.messages]
             starts = [
                 f for f in each.on_bus(each.device.start) if (f.bus, f.id, f.flags & EXTENDED) in requests
             ]
             for frame in (*starts, *each.on_bus(frames)):
-                other = taken.setdefault((frame.bus, frame.id, frame.flags & EXTENDED), mine)
-                if frame in starts or other != mine or protocol.sender(frame) >= 0:
+                key = frame.bus, frame.id, frame.flags & EXTENDED
+                other, *terms = taken.setdefault(key, (mine, *own))
+                shares = terms == own if each.device.database and each.device.timing != STAMPED else False
+                if frame in starts or not (other == mine or shares) or protocol.sender(frame) >= 0:
                     raise ConfigurationError(
                         f"{mine}: identifier 0x{frame.id:X} is also that of "
-                        f"{other.replace(mine, 'a drive')}, allowed: one node for each; change a node "
-                        "number, or give the sensor a bus of its own"
+                        f"{other.replace(mine, 'a drive')}, allowed: one node for each, or the same rate_Hz "
+                        "and trigger for two roles of one DBC; change a node number, or give the sensor a "
+                        "bus of its own"
                     )
 
     def opening(self, drives: Callee, protocol: Family, rate_Hz: float) -> Callee:
@@ -324,7 +334,8 @@ def _row(sensor: Sensor, part: int, message: Message) -> Any:
         row["low"][k] = ends[0] if field.low is None else field.low
         row["high"][k] = ends[1] if field.high is None else field.high
     for k, one in enumerate(message.conditions):
-        given = one.start, one.bits, one.big, one.mask, one.equals, one.selects
+        selects = SKIPS if one.skips else SELECTS * one.selects
+        given = one.start, one.bits, one.big, one.mask, one.equals, selects
         for name, value in zip(("at", "wide", "from_top", "mask", "equals", "selects"), given, strict=True):
             row[name][k] = value
     return row

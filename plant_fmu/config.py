@@ -182,7 +182,6 @@ class FmuPlant(PlantModel):
 
 Three = tuple[float, float, float]
 _NONE: Three = (0.0, 0.0, 0.0)
-Errors = tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 
 
 class SensorNode(Section):
@@ -206,15 +205,19 @@ class SensorNode(Section):
     lever_arm_m: Three = _NONE
     """Place of the sensor, or of the tracker's target, in the platform's frame; tracker, imu and wrench."""
 
-    def errors(self, _leg: int) -> Errors:
+    one: ClassVar[tuple[float, ...]] = (1.0,)
+    """Factors to SI of the quantities that share one key; two keys have three quantities each."""
+
+    def errors(self, leg: int) -> tuple[list[float], ...]:
         """Standard deviation of the noise, bias, and drift per second, of each of six quantities."""
-        raise NotImplementedError
-
-
-def _halves(*pairs: tuple[float | Three, float | Three]) -> Errors:
-    whole = [[(half,) * 3 if isinstance(half, float) else half for half in pair] for pair in pairs]
-    noise, bias, drift = ((*first, *second) for first, second in whole)
-    return noise, bias, drift
+        found = []
+        for kind in ("noise", "bias", "drift"):
+            own = [getattr(self, name) for name in type(self).model_fields if kind in name]
+            if len(own) == 1:
+                found.append([each * of_leg(own[0], leg) for each in self.one] + [0.0] * (6 - len(self.one)))
+            else:
+                found.append([x for each in own for x in (each if isinstance(each, tuple) else [each] * 3)])
+        return tuple(found)
 
 
 class TrackerEmulation(SensorNode):
@@ -235,14 +238,6 @@ class TrackerEmulation(SensorNode):
     position_drift_m_s: Three = _NONE
     rotation_drift_deg_s: Three = _NONE
 
-    def errors(self, _leg: int) -> Errors:
-        """Of position and rotation, the latter in degrees."""
-        return _halves(
-            (self.position_noise_m, self.orientation_noise_deg),
-            (self.position_bias_m, self.rotation_bias_deg),
-            (self.position_drift_m_s, self.rotation_drift_deg_s),
-        )
-
 
 class ImuEmulation(SensorNode):
     """Errors of the emulated IMU: white noise, constant biases and drift."""
@@ -256,14 +251,6 @@ class ImuEmulation(SensorNode):
     angular_rate_drift_rad_s2: Three = _NONE
     specific_force_drift_m_s3: Three = _NONE
 
-    def errors(self, _leg: int) -> Errors:
-        """Of angular rate and specific force."""
-        return _halves(
-            (self.angular_rate_noise_rad_s, self.specific_force_noise_m_s2),
-            (self.angular_rate_bias_rad_s, self.specific_force_bias_m_s2),
-            (self.angular_rate_drift_rad_s2, self.specific_force_drift_m_s3),
-        )
-
 
 class WrenchEmulation(SensorNode):
     """Errors of the emulated wrench sensor: white noise, constant bias and drift."""
@@ -275,32 +262,14 @@ class WrenchEmulation(SensorNode):
     force_drift_N_s: Three = _NONE
     moment_drift_N_m_s: Three = _NONE
 
-    def errors(self, _leg: int) -> Errors:
-        """Of force and moment."""
-        return _halves(
-            (self.force_noise_N, self.moment_noise_N_m),
-            (self.force_bias_N, self.moment_bias_N_m),
-            (self.force_drift_N_s, self.moment_drift_N_m_s),
-        )
-
 
 class InclinationEmulation(SensorNode):
     """The emulated inclinometer: white noise, bias and drift of both angles."""
 
+    one = (radians(1.0),) * 2
     noise_deg: Annotated[float, Field(ge=0)] = 0.01
     bias_deg: float = 0.0
     drift_deg_s: float = 0.0
-
-    def errors(self, _leg: int) -> Errors:
-        """Of roll and pitch."""
-        degrees = self.noise_deg, self.bias_deg, self.drift_deg_s
-        noise, bias, drift = ((radians(each),) * 2 + (0.0,) * 4 for each in degrees)
-        return noise, bias, drift
-
-
-def _of_leg(noise: float, bias: PerLeg, drift: PerLeg, leg: int) -> Errors:
-    first, second, third = ((each, *(0.0,) * 5) for each in (noise, of_leg(bias, leg), of_leg(drift, leg)))
-    return first, second, third
 
 
 class LengthEmulation(SensorNode):
@@ -312,10 +281,6 @@ class LengthEmulation(SensorNode):
     drift_m_s: PerLeg = 0.0
     """One for all legs, or six in leg order."""
 
-    def errors(self, leg: int) -> Errors:
-        """Of a leg's length."""
-        return _of_leg(self.noise_m, self.bias_m, self.drift_m_s, leg)
-
 
 class ForceEmulation(SensorNode):
     """The emulated load cell of each leg."""
@@ -325,10 +290,6 @@ class ForceEmulation(SensorNode):
     """One for all legs, or six in leg order."""
     drift_N_s: PerLeg = 0.0
     """One for all legs, or six in leg order."""
-
-    def errors(self, leg: int) -> Errors:
-        """Of a leg's force."""
-        return _of_leg(self.noise_N, self.bias_N, self.drift_N_s, leg)
 
 
 class SensorEmulation(Section):

@@ -6,6 +6,7 @@ of 785 samples have it. Bit 15, any error that spoils the data, marks a sample a
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field as Key
 
 from drivers.errors import ConfigurationError
@@ -38,6 +39,10 @@ class AtiSensor(Timed):
         """Messages of the sensor."""
         if wanted.role != "wrench":
             raise ConfigurationError(f"protocol: measures wrench, given: {wanted.role}")
+        if np.linalg.matrix_rank(np.array(self.matrix)) < len(self.matrix):
+            raise ConfigurationError(
+                "matrix: singular, allowed: six independent rows of the calibration sheet"
+            )
         first = self.base * 16
         even, odd = (
             tuple(

@@ -50,6 +50,8 @@ class DbcSensor(Timed):
     """Quantities whose sign is opposite to that of their signal."""
     valid: dict[str, int] = {}
     """Signal -> raw value that marks a sample as valid; its message is part of each sample."""
+    skip: dict[str, int] = {}
+    """Signal -> raw value of frames that are not read: the head of a packet of several frames."""
     source_address: Annotated[int, Key(ge=0, le=253)] | None = None
     """J1939: source address in the identifiers of 29 bits, in place of that of the DBC."""
     trigger: Literal["sync", "free"] = "free"
@@ -81,12 +83,12 @@ class DbcSensor(Timed):
                 unit = UNITS[role][names.index(quantity)]
                 fields.append(self._field(to, quantity, signal, unit))
                 conditions += [each for each in selection(message, signal) if each not in conditions]
-        for signal_name, value in self.valid.items():
+        for signal_name, value in (*self.valid.items(), *self.skip.items()):
             message, signal = found_signal(database, signal_name, name)
             start, bits, _, big = placed(signal)
-            mask = (1 << bits) - 1
+            mask, skips = (1 << bits) - 1, signal_name in self.skip
             conditions = messages.setdefault(message.name, (message, [], []))[2]
-            conditions.append(Condition(start, bits, value & mask, mask, big))
+            conditions.append(Condition(start, bits, value & mask, mask, big, skips=skips))
         return self.timed(
             self.trigger,
             messages=tuple(self._message(*each) for each in messages.values()),
@@ -177,7 +179,16 @@ def found_signal(database: Any, wanted: str, file: str) -> tuple[Any, Any]:
         what = "in several messages, allowed: Message.Signal" if found else "unknown"
         where = ", ".join(f"{each.name}.{one.name}" for each, one in found)
         raise ConfigurationError(f"signals: {wanted} of {file}: {what}{where and f', found: {where}'}")
-    return found[0]
+    of, one = found[0]
+    if max(bits_of(*placed(one)[:2], big=placed(one)[3])) >= 8 * of.length:
+        raise ConfigurationError(f"signals: {wanted} of {file}: beyond the {of.length} bytes of {of.name}")
+    return of, one
+
+
+def bits_of(start: int, bits: int, *, big: bool) -> set[int]:
+    """Bits of a field, counted from the highest one of the first byte."""
+    first = start ^ 7
+    return set(range(first, first + bits)) if big else {bit ^ 7 for bit in range(start, start + bits)}
 
 
 def placed(signal: Any) -> tuple[int, int, int, bool]:

@@ -68,6 +68,8 @@ class Condition(NamedTuple):
     big: bool = False
     selects: bool = False
     """True if a frame with other bits is another message; False if its sample is invalid."""
+    skips: bool = False
+    """True if a frame with these bits is another message."""
 
 
 class Message(NamedTuple):

@@ -30,7 +30,9 @@ from drivers.sensing.layout import (
     QUANTITIES,
     ROW,
     SAMPLE,
+    SELECTS,
     SIGNED,
+    SKIPS,
     SLOT,
     SLOTS,
     STAMPED,
@@ -146,10 +148,10 @@ def selected(row: Any, data: Any) -> tuple[bool, bool]:
     valid = True
     for k in range(row.conditions):
         bits = field_of(data, row.at[k], row.wide[k], row.from_top[k])
-        if (bits & row.mask[k]) != row.equals[k]:
-            if row.selects[k]:
-                return False, False
-            valid = False
+        equal = (bits & row.mask[k]) == row.equals[k]
+        if row.selects[k] and equal != (row.selects[k] == SELECTS):
+            return False, False
+        valid = valid and (equal or row.selects[k] != 0)
     return True, valid
 
 
@@ -349,7 +351,8 @@ def put_sample(row: Any, v: Array, cycle: int, offset_s: float, counter: int, fr
             word.view(np.float64)[0] = real
         put_field(word[0], data, row.start[k], bits, row.big[k])
     for k in range(row.conditions):
-        put_field(row.equals[k], data, row.at[k], row.wide[k], row.from_top[k])
+        if row.selects[k] != SKIPS:
+            put_field(row.equals[k], data, row.at[k], row.wide[k], row.from_top[k])
     if row.checked:
         data[row.length - 1] = check_of(row.id, data, row.length - 1, 1)
     return 0

@@ -23,6 +23,8 @@ UNSIGNED, SIGNED, FLOAT = range(3)
 STAMPED, SYNCED, FREE = range(3)
 """Instant of a sample: in its frame; the SYNC or poll that it answers; its arrival less the latency."""
 CONDITIONS = 4
+SELECTS, SKIPS = 1, 2
+"""`selects` of a condition: a frame in which it does not hold, or in which it holds, is another message."""
 MOST = 256
 """Most samples of one slot in one tick; further ones are refused."""
 NEVER = -1
@@ -43,8 +45,8 @@ ROW = np.dtype(
 )  # fmt: skip
 """One message of a slot. Bytes: `length` of them, or with `exact` 0 at least so many; `part`: its bit among
 the messages of a sample; `checked`: it ends in the CRC-8 of sensors.dbc. A field goes from raw to SI by
-scale and offset; values outside low .. high are refused. A condition compares masked bits: if they differ,
-the frame is another message (`selects`), else its sample is invalid."""
+scale and offset; values outside low .. high are refused. A condition compares masked bits: SELECTS, SKIPS, or
+0: if they differ, the sample is invalid."""
 SLOT = np.dtype(
     [
         *((name, "<i8") for name in ("present", "parts", "timing", "clocked", "mixes", "gap_ns")),

@@ -99,7 +99,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
         unnamed=int(not protocol.traits.answers_name_sync),
         differences=differences,
         apart=int(not protocol.traits.latches_together),
-        unshared=UNASKED if protocol.traits.unasked_s > 0.0 else UNSHARED,
+        unshared=protocol.traits.stray(UNASKED, UNSHARED, c.loop.rate_Hz),
         friction_N=stated_friction_N(c),
         driving=driving,
         back_driving=back_driving,

@@ -30,8 +30,8 @@ def loop_delay(c: Configuration) -> LoopDelay:
     """Delay of the loop, as stated in `delay_compensation` or `estimation.wrench`, else an upper bound.
 
     Transport is at most one period, none in layout `ideal`, and one more where the poll of the next tick
-    carries the command. The lag is that of our own FMU, else of the emulated drives. In layout `ideal` the
-    stated values are ignored.
+    carries the command. A reading that a timer sends is up to a period of the timer old. The lag is that of
+    our own FMU, else of the emulated drives. In layout `ideal` the stated values are ignored.
     """
     period = 1.0 / c.loop.rate_Hz
     ideal = c.bus.layout == "ideal"
@@ -41,8 +41,8 @@ def loop_delay(c: Configuration) -> LoopDelay:
         drives = c.plant.model if isinstance(c.plant.model, StewartPlant) else c.plant.drives
         bandwidth_Hz = drives.force_bandwidth_Hz
     lag = 1.0 / (2.0 * pi * bandwidth_Hz) if bandwidth_Hz > 0.0 else 0.0
-    waits = build_protocol(c.bus, c.drives).traits.command_delay_ticks
-    transport = (waits + (not ideal)) * period
+    traits = build_protocol(c.bus, c.drives).traits
+    transport = (traits.command_delay_ticks + (not ideal)) * period + traits.unasked_s * traits.timed
     if stated is not None and not ideal:
         transport = 1e-3 * stated.bus_ms if "bus_ms" in stated.model_fields_set else transport
         lag = 1e-3 * stated.drive_lag_ms if "drive_lag_ms" in stated.model_fields_set else lag

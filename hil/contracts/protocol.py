@@ -260,7 +260,7 @@ class ProtocolContract:
         answers = [
             each.frame
             for each in ends.received
-            if protocol.awaited(each.frame) in protocol.traits.feedback_ids
+            if protocol.awaited(each.frame) in {*map(protocol.awaited, protocol.traits.feedbacks)}
         ]
         named = not protocol.traits.shares_identifiers
         found = shapes((*ends.opening, *ends.sent, *answers), named=named)
@@ -282,7 +282,7 @@ class ProtocolContract:
         assert {protocol.sender(each.frame) for each in ends.received} == set(range(LEGS))
         stop = protocol.traits.emergency_stop
         assert {protocol.sender(frame) for frame in (*ends.opening, *ends.sent, *stop)} == {-1}
-        for frames in (ends.opening, stop):
+        for frames in (ends.opening or ends.sent, stop):
             assert {leg for frame in frames for leg in protocol.addressed(frame)} == set(range(LEGS))
 
     @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 255 * BUS])

@@ -4,7 +4,8 @@ A family is a subclass of `MotorDrives` with two compiled functions:
 
 - ``obey(d, leg, frame, messages)`` puts the content of a frame for one drive into MESSAGEs at an address.
   Returns their number, plus ALONE if the frame is for this drive only, or FAILED to leave it to `request`;
-- ``encode(d, said, frame)`` fills in the feedback of one drive.
+- ``encode(d, said, frame)`` fills in the feedback of one drive. Returns the number of further frames, which
+  follow in memory.
 """
 
 from collections.abc import Mapping, Sequence
@@ -165,9 +166,9 @@ def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: 
                 continue
             if not _read(d, leg, reading, said):
                 return FAILED
-            call(d.encode, (address_of(d), at, into + count * _FRAME))
-            legs[count] = leg
-            count += 1
+            more = call(d.encode, (address_of(d), at, into + count * _FRAME))
+            legs[count : count + 1 + more] = leg
+            count += 1 + more
     return count
 
 

@@ -34,8 +34,8 @@ class SensedNodes(Nodes):
     """Six drives, the plant behind them, and the configured sensors.
 
     Mutable state, in addition to that of `Nodes`: of each sensor the next sample time, the counter, whether
-    it has been started, and its last frames; a record of SENSED; frames that wait for their latency; the
-    generator of random numbers. `start` resets all of it.
+    it has been started, and its last frames; a record of SENSED; the generator of random numbers. `start`
+    resets all of it.
     """
 
     def __init__(
@@ -100,9 +100,6 @@ class SensedNodes(Nodes):
             n["turns"][slot], n["frame"][slot] = frame_rad.any(), turn(frame_rad, np.eye(3))
             n["lever"][slot] = node.lever_arm_m
         n["target"] = turn(np.deg2rad(self._noise.tracker.target_rotation_deg), np.eye(3))
-        self._waiting: list[tuple[int, Rows]] = []
-        """Frames to send, each with the instant at which it enters the bus."""
-        self._send_ns = NEVER_NS
         self._chance = np.random.default_rng((self._noise.seed, self._faults.seed))
 
     @property
@@ -118,7 +115,8 @@ class SensedNodes(Nodes):
     def advance(self, t_ns: int, received: Rows) -> Rows:
         """`Nodes.advance`, with the frames of the sensors among those of the drives.
 
-        A pass ends at each sample of a sensor, as faults change the truth between samples.
+        A pass ends at each sample of a sensor, as faults change the truth between samples. A frame is
+        returned at its sample, with the later instant at which it enters the bus.
         """
         out: list[Rows] = []
         frames = received[np.argsort(received["t_ns"], kind="stable")]
@@ -139,12 +137,7 @@ class SensedNodes(Nodes):
                 self._answer(sent_frames(heard), at_ns)
             out.append(super().advance(at_ns, heard).copy())
             if not ends and self._sense_ns <= at_ns:
-                self._sense(at_ns)
-        if t_ns < self._send_ns:
-            return np.concatenate(out, dtype=FRAME)
-        out += [frame for at_ns, frame in self._waiting if at_ns <= t_ns]
-        self._waiting = [entry for entry in self._waiting if entry[0] > t_ns]
-        self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)
+                out += self._sense(at_ns)
         both = np.concatenate(out, dtype=FRAME)
         return both[np.argsort(both["t_ns"], kind="stable")]
 
@@ -160,7 +153,7 @@ class SensedNodes(Nodes):
             for slot in due:
                 self._due_ns[slot] = self._sense_ns = t_ns
 
-    def _sense(self, t_ns: int) -> None:
+    def _sense(self, t_ns: int) -> list[Rows]:
         truth, grid_ns = self._known_truth(), self._grid_ns()
         if truth is None and any(slot < LENGTH for slot in self._of):
             raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
@@ -177,16 +170,13 @@ class SensedNodes(Nodes):
                 if slot == IMU:
                     noted_ns = next_ns - round(self._h_ns) if slot in self._own_clock else t_ns
                     self._note_ns = max(noted_ns, t_ns)
-        for frame in frames.values():
-            if frame is not None:
-                self._send(int(frame["t_ns"][0]), frame)
-        self._send_ns = min((at_ns for at_ns, _ in self._waiting), default=NEVER_NS)
         if self._note_ns <= t_ns and truth is not None:
             lever = self._sensed["lever"][IMU]
             self._sensed["before_ns"] = grid_ns
             self._sensed["before"] = velocity_at(lever, truth.R, truth.twist)
             self._note_ns = NEVER_NS
         self._sense_ns = min(self._note_ns, *self._due_ns.values())
+        return [sent for frame in frames.values() if frame is not None for sent in self._carried(frame)]
 
     def _sample(
         self, slot: int, t_ns: int, truth: Truth, grid_ns: int, frames: dict[tuple[int, ...], Rows | None]
@@ -226,12 +216,12 @@ class SensedNodes(Nodes):
             elif whole is not None:
                 whole["data"] |= frame["data"]
 
-    def _send(self, t_ns: int, frame: Rows) -> None:
-        sent = [(t_ns, frame)]
-        if self._gateway is not None:
-            carried = self.schedule.carry(t_ns, sent_frames(frame)[0], to_drives=False)
-            sent = [(at_ns, timed_array([(at_ns, arriving)])) for at_ns, arriving, _ in carried]
-        self._waiting += sent
+    def _carried(self, frame: Rows) -> list[Rows]:
+        """The frame as faults of the bus leave it: lost, late, altered or doubled."""
+        if self._gateway is None:
+            return [frame]
+        carried = self.schedule.carry(int(frame["t_ns"][0]), sent_frames(frame)[0], to_drives=False)
+        return [timed_array([(at_ns, arriving)]) for at_ns, arriving, _ in carried]
 
 
 _NOWHERE = Truth(np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6))

@@ -1,11 +1,13 @@
-"""The guide on drives by a DBC: its mapping is that of the example, which runs and is replayed elsewhere."""
+"""The guide on drives by a DBC: its mappings are those of the examples, which run and are replayed elsewhere."""
 
 import re
 from pathlib import Path
 from shutil import copy
 
+import pytest
 import yaml
 
+from drivers.protocol import EXTENDED
 from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
@@ -13,28 +15,35 @@ from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-EXAMPLE = DOCS / "examples/drives/rmd.yaml"
+EXAMPLE, TIMED = (DOCS / f"examples/drives/{name}.yaml" for name in ("rmd", "vesc"))
 PAGE = (DOCS / "guides/dbc-drives.md").read_text(encoding="utf-8")
 
 
-def test_mapping_of_the_guide_is_that_of_the_example():
-    block = re.search(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
-    assert block is not None
-    given = yaml.safe_load(block.group(1))["drives"]
-    assert given == {key: yaml.safe_load(EXAMPLE.read_text("utf-8"))["drives"][key] for key in given}
+def test_mappings_of_the_guide_are_those_of_the_examples():
+    blocks = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    for block, example in zip(blocks, (EXAMPLE, TIMED), strict=True):
+        given = yaml.safe_load(block)["drives"]
+        assert given == {key: yaml.safe_load(example.read_text("utf-8"))["drives"][key] for key in given}
 
 
-def test_example_runs_and_its_log_is_replayed_without_the_files(tmp_path):
+@pytest.mark.parametrize("example", [EXAMPLE, TIMED], ids=lambda path: path.stem)
+def test_example_runs_and_its_log_is_replayed_without_the_files(example, tmp_path):
     folder, log = tmp_path / "here", tmp_path / "run.mcap"
     folder.mkdir()
-    for file in (EXAMPLE, EXAMPLE.with_suffix(".dbc")):
+    for file in (example, example.with_suffix(".dbc")):
         copy(file, folder)
-    summary = simulate(load(folder / EXAMPLE.name), log=log, duration_s=2.0, check_replay=False)
+    summary = simulate(load(folder / example.name), log=log, duration_s=2.0, check_replay=False)
     assert summary["success"], summary["trouble"]
     assert summary["rejected_frames"] == summary["stale_ticks"] == 0
     for file in folder.iterdir():
         file.unlink()
     assert replay_log(log)[0].exact
+
+
+def test_bus_budget_counts_the_messages_of_a_timer_that_a_tick_may_have():
+    c = load(TIMED)
+    (budget,) = bus_budgets(c.bus, c.drives, c.sensors, 200.0)
+    assert budget.frames == {(4, EXTENDED): 6, (8, EXTENDED): 15}, "12 every 4 ms, in ticks of 5 ms"
 
 
 def test_bus_budget_counts_the_answers_to_commands():

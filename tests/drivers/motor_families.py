@@ -100,7 +100,7 @@ class Motors(ByValue):
         heard = self.protocol._heard(frame)
         if heard is None:
             return None
-        leg, has, turns, speed, torque, power, fault, register, value = heard.tolist()
+        leg, has, turns, speed, torque, power, fault, register, value, _ = heard.tolist()
         return Heard(
             leg,
             broken=bool(has & BROKEN),

@@ -90,6 +90,52 @@ def test_age_of_a_free_running_encoder_is_right_within_its_waiting_time_on_the_b
     assert np.std(error - off_s * dq) < 2e-5
 
 
+@pytest.mark.parametrize("latency_ms", [0.1, 0.7])
+def test_age_of_a_second_encoder_that_answers_each_sync_includes_its_latency(latency_ms):
+    changes = {
+        "sensors": {"lengths": ENCODERS | {"rate_Hz": 1000, "channel": "sensors0"}},
+        "plant": {"sensors": {"lengths": {"noise_m": 0, "latency_ms": latency_ms}}},
+        "bus": OWN_BUS | {"channel": None},
+        "reference": {"periods": 1},
+    }
+    rows = run(changed("virtual", **merged(SHORT, changes)), stop_s=1.0).tracking
+    period_s = 1e-3
+    age = (rows["length_sensor_age"][:, 0] / period_s).round(9)
+    assert set(age) == ({0.0} if latency_ms < 0.2 else {1.0}), "all drives have answered after 0.5 ms"
+    then = np.arange(len(rows))[1:] - age[1:].astype(int)
+    error, dq = rows["length_sensor"][1:, 0] - rows["q"][then, 0], rows["dq"][then, 0]
+    assert np.abs(dq).max() > 0.03
+    assert abs(error @ dq) / (dq @ dq) < 5e-5, "s; the SYNCs of the two buses end 28 us apart"
+
+
+def test_two_sensors_in_one_dbc_message_measure_the_platform_together():
+    file = str(Path(__file__).parents[2] / "docs/examples/sensors/j1939_imu.dbc")
+    signals = {"inclination": {"roll": "RollAngle", "pitch": "PitchAngle"}, "imu": {"wy": "PitchRate"}}
+    noise = {"inclination": {"noise_deg": 0}, "imu": {"angular_rate_noise_rad_s": 0}}
+    changes = {
+        "bus": {"max_load_percent": 90},
+        "sensors": {
+            role: {
+                "rate_Hz": 100,
+                "device": {"protocol": "dbc", "file": file, "signals": names, "latency_ms": 2},
+            }
+            for role, names in signals.items()
+        },
+        "plant": {"sensors": {role: own | {"latency_ms": 2} for role, own in noise.items()}},
+    }
+    rows = run(changed("virtual", **merged(SHORT, changes)), stop_s=1.0).tracking
+    R, t = rows["R"].reshape(-1, 3, 3), np.arange(len(rows)) * 1e-3
+    rate = np.einsum("nji,nj->ni", R, rows["twist"][:, 3:])[:, 1]
+    for role, column, expected, step in (
+        ("inclination", 1, -np.arcsin(R[:, 2, 0]), np.deg2rad(0.002)),
+        ("imu", 1, rate, np.deg2rad(0.002)),
+    ):
+        error = rows[role][:, column] - np.interp(t - rows[f"{role}_age"], t, expected)
+        assert np.abs(expected).max() > 0.02, "it moves"
+        assert np.abs(error[20:]).max() < 5 * step
+    assert rows["rejected"].sum() == 0
+
+
 def test_replay_reads_the_dbc_of_a_sensor_from_the_log_alone(tmp_path):
     text = (Path(__file__).parents[2] / "docs/examples/sensors/cia410.dbc").read_text()
     (tmp_path / "my.dbc").write_text(text)

@@ -84,10 +84,14 @@ def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=Non
     found: dict[str, list[tuple[float, float, np.ndarray]]] = {"tracker": [], "imu": [], "wrench": []}
     readings = Readings()
     rejected = 0
+    waiting: list[tuple[int, Frame]] = []
     for tick in range(ticks):
         synced = 7 * MS + tick * MS + sync_after_us * US
-        out = nodes.step(synced, [Received(synced, opening(DRIVES, tick)[0])])
-        assert [t for t, _ in out] == sorted(t for t, _ in out)
+        queued = nodes.step(synced, [Received(synced, opening(DRIVES, tick)[0])])
+        assert [t for t, _ in queued] == sorted(t for t, _ in queued)
+        waiting = sorted(waiting + queued, key=lambda each: each[0])
+        out = [each for each in waiting if each[0] <= synced]
+        waiting = waiting[len(out) :]
         readings = decode(protocol, received_array([Received(t, frame) for t, frame in out]), tick, readings)
         rejected += readings.rejected
         for kind, samples in found.items():

@@ -115,7 +115,7 @@ def bus_budgets(
     try:
         protocol.controller_end(DriveSetup(1e-3 * drives.watchdog_ms, protocol.traits.reactions[0], rate_Hz))
     except ProtocolError as error:
-        raise ConfigurationError(f"drives.watchdog_ms: {error}") from error
+        raise ConfigurationError(str(error)) from error
     measured = nodes.syncs(protocol) + nodes.cyclic_frames(rate_Hz)
     nodes.refuse_clashes(protocol)
     for index, legs in enumerate(bus.legs):
@@ -170,7 +170,10 @@ def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Fr
 
 
 def timed_feedbacks(protocol: Family, rate_Hz: float) -> tuple[Frame, ...]:
-    """One example of every timer-driven feedback frame that occurs in every tick, on its drive's bus."""
+    """One example of every timer-driven feedback frame that occurs in every tick, on its drive's bus.
+
+    Of drives without a poll, those that exceed one a tick, as `Traits.cyclic_frames` has that one.
+    """
     if protocol.traits.unasked_s <= 0.0:
         return ()
     readings = protocol.traits.feedbacks
@@ -178,6 +181,7 @@ def timed_feedbacks(protocol: Family, rate_Hz: float) -> tuple[Frame, ...]:
     for bus in {each.bus for each in readings}:
         own = [each for each in readings if each.bus == bus]
         turns = floor(len(own) / (protocol.traits.unasked_s * rate_Hz) * (1 + 1e-9))
+        turns -= len(own) * protocol.traits.timed
         found += [own[turn % len(own)] for turn in range(turns)]
     return tuple(found)
 

@@ -298,6 +298,11 @@ def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
     status = _put(w, replies, ALWAYS, 1)
     if status != DONE:
         return status
+    if w.wanted == 0:  # the drives send by their timer, and the controller does not wait
+        w.taken, w.step_ns = early, t_ns
+        while w.taken > 0 and frame_at(w.late_at + (w.taken - 1) * _FRAME).t_ns > t_ns:
+            w.taken -= 1
+        return DONE
     _carry(w, deadline_ns)
     w.taken, w.step_ns = w.late, deadline_ns
     if not together:

@@ -42,7 +42,7 @@ class Wires:
         self._timings, self._protocol = timings, protocol
         self.times_ns = np.array(list(map(frame_times_ns, timings)))
         self._free = np.full(len(timings), ALWAYS)
-        self.wanted = list(protocol.wanted)
+        self.wanted = list(protocol.wanted) if protocol.traits.feedback_ids else []
         """Identifiers of the answers to a SYNC or poll."""
         self._wanted = np.array(self.wanted, np.int64)
         self._missing = np.zeros_like(self._wanted)

@@ -356,7 +356,7 @@ def drives_of(c: Configuration, dq: Array, ddq: Array) -> Drives:
     traits = build_protocol(c.bus, c.drives).traits
     read = traits.resolution.at(c.loop.rate_Hz)
     encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
-    age_s = UNASKED / c.loop.rate_Hz if traits.unasked_s > 0.0 else 0.0
+    age_s = traits.stray(UNASKED, 0.0, c.loop.rate_Hz) / c.loop.rate_Hz
     driving, back_driving = efficiencies(c)
     return Drives(
         read.length + encoder_m + age_s * dq,

@@ -1,0 +1,136 @@
+"""Sensors by their DBC: quaternion, status and packet frames, shared messages, and refused settings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cantools
+import numpy as np
+import pytest
+
+from drivers.config import BusSettings
+from drivers.errors import ConfigurationError
+from drivers.frame_array import received_array
+from drivers.protocol import Received
+from drivers.sensing.layout import IMU, INCLINATION, LENGTH, unheard
+from drivers.sensing.settings import SensorSettings
+from drivers.sensors import SensorProtocol
+from tests.drivers.cia402_drives import drives
+from tests.drivers.test_sensor_vectors import (
+    ACCEL,
+    DATA,
+    DEG,
+    EXAMPLES,
+    GYRO,
+    LEGS,
+    ROOT,
+    by_dbc,
+    frame,
+    heard,
+    of,
+)
+from tests.sensor_samples import hear_frames
+
+
+def signals_of(v: dict[str, Any]) -> tuple[str, str, dict[str, float]]:
+    """File, message and decoded signals of a vector."""
+    file = f"{EXAMPLES}/xsens_mti.dbc" if v["family"].startswith("Xsens") else DATA
+    database: Any = cantools.database.load_file(ROOT / file)
+    message = database.get_message_by_frame_id(v["id"])
+    decoded = v["decoded"] or {"ErrorCode": int(v["data"], 16)}
+    return file, message.name, {name: decoded[name] for name in message.signal_tree if name in decoded}
+
+
+@pytest.mark.parametrize(
+    "v",
+    [v for v in of("Xsens") + of("SBG") + of("JR3", "force data") if v["direction"] == "from_device"],
+    ids=lambda v: v["key"],
+)
+def test_every_signal_of_quaternion_status_and_other_frames_is_decoded_to_its_value(v):
+    file, message, values = signals_of(v)
+    assert values
+    for name, value in values.items():
+        legs = dict.fromkeys(LEGS, f"{message}.{name}")
+        settings = by_dbc(file, legs, units=dict.fromkeys(LEGS, "m"))
+        found = heard("lengths", settings, frame(v)).slots["last"][LENGTH][0]
+        assert found == pytest.approx(value, rel=1e-6, abs=1e-8), name
+
+
+def test_sample_counts_only_while_the_status_word_of_the_device_reports_a_valid_filter():
+    (rate,), (force,) = of("Xsens", "RateOfTurn rad/s"), of("Xsens", "Acceleration m/s^2")
+    names = dict(zip(("wx", "wy", "wz", "fx", "fy", "fz"), (*GYRO, *ACCEL), strict=True))
+    settings = by_dbc(f"{EXAMPLES}/xsens_mti.dbc", names, valid={"filter_valid": 1})
+    for status in of("Xsens", "status word"):
+        found = heard("imu", settings, frame(status), frame(rate), frame(force))
+        assert found.slots["count"][IMU] == status["decoded"]["filter_valid"]
+        assert found.record["rejected"] == 0
+
+
+@pytest.mark.parametrize("v", of("Xsens", "velocity increment"), ids=lambda v: v["what"][:35])
+def test_velocity_increment_with_another_exponent_than_that_of_the_dbc_is_no_sample(v):
+    legs = dict.fromkeys(LEGS, "X")
+    settings = by_dbc(
+        f"{EXAMPLES}/xsens_mti.dbc", legs, units=dict.fromkeys(LEGS, "m"), valid={"Exponent": 17}
+    )
+    count = heard("lengths", settings, frame(v)).slots["count"][LENGTH]
+    assert count == (v["decoded"]["Exponent"] == 17)
+
+
+@pytest.mark.parametrize("v", of("OptoForce", "data packet"), ids=lambda v: v["what"][-40:])
+def test_second_frame_of_a_packet_under_one_identifier_is_decoded_and_the_first_is_skipped(v):
+    second = v["what"].endswith("frame 2 of 2")
+    for name in ("fx", "fy", "fz"):
+        legs = dict.fromkeys(LEGS, name)
+        settings = by_dbc(
+            "tests/data/optoforce.dbc", legs, units=dict.fromkeys(LEGS, "m"), skip={"Header": 0xAA07080A}
+        )
+        found = heard("lengths", settings, frame(v))
+        assert bool(found.slots["count"][LENGTH]) == second
+        assert found.record["rejected"] == 0
+        if second:
+            assert found.slots["last"][LENGTH][0] == v["decoded"][f"{name}_counts"]
+
+
+def two_roles(rate_Hz: float = 100) -> SensorProtocol:
+    """An inclinometer and a gyroscope in one message, SSI of a J1939 IMU."""
+    file = f"{EXAMPLES}/j1939_imu.dbc"
+    angles, rates = {"roll": "RollAngle", "pitch": "PitchAngle"}, {"wy": "PitchRate"}
+    roles = {"inclination": by_dbc(file, angles) | {"rate_Hz": 100}, "imu": by_dbc(file, rates)}
+    roles["imu"]["rate_Hz"] = rate_Hz
+    return SensorProtocol(BusSettings(), SensorSettings.model_validate(roles), ROOT)
+
+
+def test_two_sensors_read_one_dbc_message_that_the_bus_budget_counts_once():
+    (v,) = of("IMU on J1939", "SSI:")
+    protocol = two_roles()
+    protocol.refuse_clashes(drives((1, 2, 3, 4, 5, 6)))
+    assert len(protocol.cyclic_frames(100)) == 1
+    found, decoded = unheard(protocol.tables), v["decoded"]
+    hear_frames(found.record, received_array([Received(0, frame(v))]), 5, 0, 0)
+    angles = [decoded["roll_deg"] * DEG, decoded["pitch_deg"] * DEG]
+    assert found.slots["last"][INCLINATION][:2] == pytest.approx(angles, abs=0.0021 * DEG)
+    assert found.slots["last"][IMU][1] == pytest.approx(decoded["pitch_rate_deg_s"] * DEG, abs=1e-9)
+
+
+def test_two_sensors_of_unequal_rates_in_one_dbc_message_are_refused():
+    with pytest.raises(ConfigurationError, match=r"sensors\.inclination.*same rate_Hz and trigger"):
+        two_roles(50).refuse_clashes(drives((1, 2, 3, 4, 5, 6)))
+
+
+def test_singular_matrix_of_a_force_torque_sensor_is_refused_in_one_line():
+    matrix = np.eye(6)
+    matrix[5] = matrix[4]
+    sensors = SensorSettings.model_validate(
+        {"wrench": {"device": {"protocol": "ati", "matrix": matrix.tolist()}}}
+    )
+    with pytest.raises(ConfigurationError, match=r"sensors\.wrench\.device\.matrix: singular") as raised:
+        SensorProtocol(BusSettings(), sensors)
+    assert "\n" not in str(raised.value)
+
+
+def test_signal_beyond_the_bytes_of_its_message_is_refused(tmp_path):
+    (tmp_path / "my.dbc").write_text((ROOT / EXAMPLES / "cia410.dbc").read_text().replace("_10: 4", "_10: 3"))
+    device = by_dbc("my.dbc", {"roll": "SlopeLateral"})
+    sensors = SensorSettings.model_validate({"inclination": device})
+    with pytest.raises(ConfigurationError, match=r"SlopeLateral of my\.dbc: beyond the 3 bytes"):
+        SensorProtocol(BusSettings(), sensors, tmp_path)

@@ -40,6 +40,8 @@ COMMANDS = {
     "sim": "Controller, bus, drives and platform, in simulated time.",
     "replay": "Replay a log's inputs and compare all outputs to the bit.",
     "check": "Figures, warnings and errors of a configuration; nothing moves.",
+    "adapter": "Measure a CAN interface before it is trusted: latency, loss, queue, recovery.",
+    "doctor": "Findings about this machine's real-time and CAN set-up, with the commands that fix them.",
     "new": "A configuration of your robot from a few figures.",
     "bringup": "Commission a machine, from parts to motion, one leg at a time; also as a rehearsal.",
     "watch": "Live page about a run, in any browser.",

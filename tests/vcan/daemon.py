@@ -27,7 +27,6 @@ from tests.vcan.kernel import FRAME
 NEAR, FAR = "hilA", "hilB"
 ROOT = Path(__file__).resolve().parents[2]
 ERROR = 0x20000000
-SO_RCVBUFFORCE = 33
 START_LIMIT_S, MODE_LIMIT_S = 60.0, 20.0
 PATIENT_TICKS = 100
 ATTEMPTS = 3
@@ -188,7 +187,7 @@ class Tally(threading.Thread):
     def __init__(self, name: str) -> None:
         super().__init__(daemon=True)
         self.sock = kernel.raw_socket(name)
-        self.sock.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 1 << 24)
+        self.sock.setsockopt(socket.SOL_SOCKET, kernel.SO_RCVBUFFORCE, 1 << 24)
         self.count: dict[int, int] = {}
         self.ends = False
         self.start()

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import os
 import pty
 import socket
 import struct
+import sys
 import termios
 import threading
 import time
@@ -28,6 +30,9 @@ TCA_KIND, TCA_OPTIONS, TCA_STATS2, TCA_STATS_QUEUE = 1, 2, 7, 3
 PLUG, RELEASE = 0, 2
 N_SLCAN, SIOCGIFNAME = 17, 0x8910
 FRAME = struct.Struct("=IB3x8s")
+SO_TIMESTAMPNS, SO_RCVBUFFORCE = 35, 33
+PSCHED_TICK_S = 64e-9
+"""Unit of time of queues, net/pkt_sched.h."""
 
 
 def _link(flags: int, index: int, attributes: bytes, kind: int = netlink.RTM_NEWLINK) -> None:
@@ -87,9 +92,10 @@ def unplug(name: str) -> None:
     queue(name, "plug", struct.pack("=iI", RELEASE, 0), 0)
 
 
-def lose(name: str, share: float) -> None:
-    """Make the kernel drop a share of the sent frames at random."""
-    queue(name, "netem", struct.pack("=6I", 0, 1000, round(share * 0xFFFFFFFF), 0, 0, 0))
+def lose(name: str, share: float, delay_s: float = 0.0, jitter_s: float = 0.0) -> None:
+    """Make the kernel drop a share of the sent frames at random, and delay them by delay +- jitter, s."""
+    delay, jitter = (round(each / PSCHED_TICK_S) for each in (delay_s, jitter_s))
+    queue(name, "netem", struct.pack("=6I", delay, 1000, round(share * 0xFFFFFFFF), 0, 0, jitter))
 
 
 def corrupt(name: str, share: float) -> None:
@@ -107,6 +113,11 @@ def dropped(name: str) -> int:
             statistics = netlink.attributes(netlink.attributes(answer[20:])[TCA_STATS2])[TCA_STATS_QUEUE]
             return int(struct.unpack_from("=3I", statistics)[2])
     return 0
+
+
+def sent(name: str) -> int:
+    """Number of frames that an interface has sent."""
+    return int(Path(f"/sys/class/net/{name}/statistics/tx_packets").read_text())
 
 
 def raw_socket(name: str, *, fd: bool = False) -> socket.socket:
@@ -127,6 +138,39 @@ def heard(sock: socket.socket, patience_s: float = 0.1) -> list[bytes]:
         while True:
             found.append(sock.recv(72))
     return found
+
+
+class Watched:
+    """Two raw sockets that note, by the kernel's time stamps, when frames leave one end and reach the other.
+
+    An interface without echo hands a frame to the sockets of its own end before its queue.
+    """
+
+    def __init__(self, near: str, far: str) -> None:
+        self.ends = [raw_socket(name) for name in (near, far)]
+        for sock in self.ends:
+            sock.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, 1 << 24)
+            sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+            sock.setblocking(False)
+
+    def delays_us(self, count: int) -> list[float]:
+        """Delays of the first frames, as long as they go one by one; lost frames are left out."""
+        left, came = (self._stamps(sock) for sock in self.ends)
+        found = []
+        for (identifier, begun), (_, following) in itertools.pairwise(left[:count]):
+            found += [t - begun for each, t in came if each == identifier and begun <= t < following][:1]
+        return found
+
+    def _stamps(self, sock: socket.socket) -> list[tuple[int, float]]:
+        found = []
+        sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # its interface was down meanwhile
+        with contextlib.suppress(BlockingIOError), sock:
+            while True:
+                raw, ancillary, _, _ = sock.recvmsg(16, 64)
+                seconds, nanoseconds = struct.unpack("=qq", ancillary[0][2])
+                identifier = int.from_bytes(raw[:4], sys.byteorder)
+                found.append((identifier, 1e6 * seconds + 1e-3 * nanoseconds))
+        return found
 
 
 class Adapter:

@@ -137,6 +137,44 @@ def test_one_percent_frame_loss_is_counted_without_a_fault(tmp_path):
 
 
 @pytest.mark.long
+def test_adapter_command_finds_the_latency_and_loss_that_the_kernel_injects(tmp_path):
+    """Timers of the user-mode kernel are late themselves: raw sockets see by how much."""
+    share = tmp_path / "share"
+    share.mkdir()
+    done = in_kernel_with_vcan("adapter", share, limit_s=300.0, kernel="uml")
+    assert done.exit_code == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    found = json.loads((share / "found.json").read_text())
+    plain, short, long = (found[word]["summary"] for word in ("plain", "short", "long"))
+    truth = {word: np.quantile(found[f"{word} truth"], (0.01, 0.5, 0.99)) for word in ("short", "long")}
+    # a system call takes some 50 us there
+    assert short["latency_us"] - plain["latency_us"] == pytest.approx(truth["short"][1], abs=60.0)
+    assert long["latency_us"] - plain["latency_us"] == pytest.approx(truth["long"][1], rel=0.1)
+    assert long["jitter_us"] == pytest.approx((truth["long"][2] - truth["long"][0]) / 2, rel=0.25)
+    # the kernel counts those of the single frames, too: 1000 from one end
+    assert 0 <= sum(found["short dropped"]) - short["lost"] <= 30
+    assert short["lost"] / short["sent"] == pytest.approx(0.01, rel=0.15)
+    assert short["stamps"] == ["software"]
+    assert plain["lost"] == 0
+    code, text = found["short check"]
+    assert code == 0
+    assert "loses" in text
+    code, text = found["long check"]
+    assert code == 2
+    assert "too slow" in text
+    assert found["busy"]["code"] == 2
+    assert "0x701" in found["busy"]["output"]
+    assert found["busy_sent"] == 0
+    _, text = found["own"]
+    assert "0 of 4500 frames" in text
+    assert "socketcan:vcan0" in text
+    alone, both = found["serial"]["alone"], found["serial"]["both"]
+    assert alone["code"] == 2
+    assert "--receiver" in alone["output"]
+    assert 0 < both["summary"]["lost"] <= found["serial"]["dropped"] <= both["summary"]["lost"] + 15
+    assert both["summary"]["restart_ms"] == 0
+
+
+@pytest.mark.long
 def test_canopen_and_moteus_masters_move_the_drives_on_vcan0(tmp_path):
     share = tmp_path / "share"
     share.mkdir()

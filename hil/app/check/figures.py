@@ -6,8 +6,10 @@ import numpy as np
 
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
+from hil.app.adapter.budget import judge
+from hil.app.adapter.file import differences, qualifications
 from hil.app.check.report import Report
-from hil.app.check.subject import carried, controlled_stop_m
+from hil.app.check.subject import carried, controlled_stop_m, refused
 from hil.app.compose import build_nodes
 from hil.app.configuration.bus_budget import bus_budgets, bus_names, set_up_ns
 from hil.app.configuration.payload_box import shown_ranges
@@ -80,6 +82,24 @@ def bus(r: Report) -> None:
             filled=filled if ns else None,
             waits="" if filled <= 100.0 else "; the rest waits for the next tick",
         )
+    for index, (title, q) in enumerate(zip(titles, qualifications(c), strict=True)):
+        if q is None:
+            continue
+        verdict = judge(c, index, q)
+        if verdict.refused:
+            raise refused(c, verdict.refused, path=("bus",))
+        s.adapters += verdict.warnings
+        found[index] |= {"adapter_us": verdict.answer_us, "adapter_loss": q.loss}
+        r.add(
+            title,
+            """
+            adapter {q.adapter}, measured {q.date}: {q.latency_us:.0f} us, jitter {q.jitter_us:.0f} us,
+            SYNC to last feedback {adapter_us:.0f} us with it; {q.lost} of {q.sent} frames lost
+            """,
+            found[index],
+            q=q,
+        )
+    s.adapters += differences(c)
     r.figures["bus"] = max(found, key=lambda each: each["load_percent"])
     if c.bus.channels:
         by_channel = {each.channel: own for each, own in zip(c.bus.buses, found, strict=True)}

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import ConfigurationError, HilError
 from drivers.family import Family
-from drivers.frame_array import sent_frames
+from hil.app.adapter.budget import answered_ns
 from hil.app.check.demand import (
     JogDemand,
     Learned,
@@ -22,7 +21,7 @@ from hil.app.check.demand import (
     learned,
     speed_change,
 )
-from hil.app.compose import build_admission, build_protocol, drive_setup
+from hil.app.compose import build_admission, build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.payload_box import corners
@@ -116,7 +115,7 @@ def static_N(c: Configuration, model: Model) -> Array:
 class Subject:
     """A configuration, and values that several figures and warnings of `hil check` share, computed once.
 
-    The sections of the report set `proven`, `fifo`, and `probe` to `notes`.
+    The sections of the report set `proven`, `adapters`, `fifo`, and `probe` to `notes`.
     """
 
     c: Configuration
@@ -137,6 +136,8 @@ class Subject:
     """Problem with the communication step by the FMU's description; empty without."""
     notes: list[str] = field(default_factory=list)
     """Messages that the FMU has reported."""
+    adapters: list[str] = field(default_factory=list)
+    """What speaks against the CAN adapters, by their qualifications."""
     fifo: bool = True
     """True if this machine grants SCHED_FIFO."""
 
@@ -274,20 +275,3 @@ def _violated(found: list[tuple[Violation, str]]) -> str:
         f"with {words}{more}, at t = {first.t:.3f} s: {first.message}; narrow mass_range_kg or "
         "com_range_m, use a gentler reference, or raise the limit if legs and drives allow it"
     )
-
-
-def answered_ns(c: Configuration) -> list[int]:
-    """Bus time, ns, of SYNC or polls and the feedback frames, one value for each bus."""
-    protocol = build_protocol(c)
-    traits = protocol.traits
-    opening = sent_frames(protocol.controller_end(drive_setup(c, c.loop.rate_Hz)).begin(0))
-    opens = {frame.id for frame in opening}
-    counted = [frame for frame in traits.sent if frame.id in opens] + [*traits.feedbacks]
-    if traits.unasked_s > 0.0:  # a frame that a drive sends by a timer may delay the last answer
-        asked = {(frame.id, frame.flags) for frame in opening}
-        answers = {frame.bus: frame for frame in counted if (frame.id, frame.flags) not in asked}
-        counted += answers.values()
-    return [
-        sum(frame_time_ns(len(f.data), f.flags, BitTiming.of(each)) for f in counted if f.bus == index)
-        for index, each in enumerate(c.bus.buses)
-    ]

@@ -189,6 +189,7 @@ HARDWARE = {
         lambda s: above(max(s.answers_us), s.window_us),
         "loop.feedback_window_us {limit:.0f}: SYNC and feedback take {value:.0f} us of bus time; lengthen it",
     ),
+    "bus adapter": Warning(lambda s: s.adapters, "{text}"),
     "reactions.silence": Warning(
         lambda s: s.c.reactions.silence == "zero",
         "reactions.silence zero: without commands nothing holds {s.weight_N:.0f} N in a leg; set brake",
@@ -264,8 +265,7 @@ HARDWARE = {
     ),
     "loop.without_realtime": Warning(
         lambda s: "" if s.fifo else RATELESS[s.c.loop.without_realtime],
-        "no SCHED_FIFO: `hil run` will {text}. To get it: `ulimit -r {c.loop.priority}` from a limits.conf "
-        "entry `@realtime - rtprio {c.loop.priority}` (and `- memlock unlimited`), or CAP_SYS_NICE",
+        "no SCHED_FIFO: `hil run` will {text}; `hil doctor {c.source}` has the command that permits it",
     ),
 }
 """Not applied to layout `ideal`, which drives no hardware and so endangers nobody."""

@@ -16,6 +16,7 @@ from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.errors import RunError
 from drivers.signals import Fault, Mode
+from hil.app.adapter.file import differences
 from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_names, loads, shortest_answer_ns
 from hil.app.configuration.configuration import Configuration
@@ -76,6 +77,9 @@ def run_daemon(
     """
     c = configuration
     c.require("run")
+    unlike = differences(c)
+    for text in unlike:
+        warn(f"hil: {text}")
     panel = OperatorPanel()
     consent = None if arm or wait_for_arm else EnterKey(lambda: _hung_up(panel)).pressed
     plant_summary: dict[str, Any] | None = None
@@ -106,6 +110,8 @@ def run_daemon(
         keeper.begin(cycle)
         bus.flush_tx()
         bus.drain_now()
+        for text in unlike:
+            recording.event(bus.clock.now(), "warning", text)
         if bus.facts:
             recording.event(bus.clock.now(), "info", bus.facts)
         with real_time(c.loop.priority, c.loop.cpu) as granted:

@@ -72,6 +72,7 @@ CONFIGURATION = [
     "sim X", "run X --arm", "plant X", "check X", "stability X", "workspace X", "compare X", "faults X",
     "bringup X --rehearse --yes", "watch X", "homing X", "ctl X status", "setpoint X --position 0 0 1",
     "identify X", "campaign X", "design hinf X", "learn X --runs 2 -o n.csv", "calibrate X poses.csv",
+    "adapter X", "doctor X",
 ]  # fmt: skip
 LOG = [
     "replay X", "report X", "plot X", "export X a.csv", "view X", "identify payload X", "identify sensors X",

@@ -124,6 +124,7 @@ ELSEWHERE = {
     "controller unstable", "feedforward rate", "feedforward.fade_s", "feedforward changes", "feedforward.limit_N",
     "plant.model.brake", "plant.model.allow_execution_tool", "plant.model legs", "plant.model coupling",
     "plant.model.step_us", "plant.model reports", "loop.without_realtime", "reference.path", "schema",
+    "bus adapter",
 }  # fmt: skip
 """Codes with examples that need a file, a proof or properties of this machine."""
 

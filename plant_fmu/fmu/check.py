@@ -303,11 +303,13 @@ def major(description: Any) -> int:
 def library_candidates(major: int, identifier: str) -> list[str]:
     """Possible paths of this machine's shared library inside an FMU, preferred first.
 
-    FMI 2.0 has folders for x86 processors only: on ARM `linux64` may hold a binary of another processor.
+    FMI 2.0 has folders for x86 processors only; on ARM `linux64` may hold a binary of another processor.
     """
     file = f"{identifier}{fmpy.sharedLibraryExtension}"
-    modern = f"binaries/{fmpy.platform_tuple}/{file}"
-    return [modern] if major >= 3 else [modern, f"binaries/{fmpy.platform}/{file}"]
+    modern, plain = f"binaries/{fmpy.platform_tuple}/{file}", f"binaries/{fmpy.platform}/{file}"
+    if major >= 3:
+        return [modern]
+    return [plain, modern] if fmpy.platform_tuple.startswith("x86") else [modern, plain]
 
 
 def library(description: Any, members: Sequence[str], path: Path) -> str:

@@ -160,12 +160,16 @@ def send(*datagrams: bytes, source: str = "127.0.0.1", to: str = "127.0.0.1") ->
 
 
 def test_datagram_is_received_unchanged_with_the_time_of_its_arrival(link):
-    before, sent = MONOTONIC.now(), datagram(7, AT_12_S)
-    send(sent)
-    after = MONOTONIC.now()
-    time.sleep(0.02)
-    (frame,) = link.receive()
-    assert frame["data"].tobytes() == sent
+    sent = datagram(7, AT_12_S)
+    for _ in range(50):
+        before = MONOTONIC.now()
+        send(sent)
+        after = MONOTONIC.now()
+        time.sleep(0.02)
+        (frame,) = link.receive()
+        assert frame["data"].tobytes() == sent
+        if frame["t_ns"] < after + 5 * MS:
+            break  # Linux begins to stamp a moment after the first socket enables it
     assert before - 100_000 < frame["t_ns"] < after + 5 * MS, "of the kernel, not of the look 20 ms later"
 
 

@@ -12,13 +12,16 @@ from drivers.can.link import Link
 from drivers.can.localcan.participant import Participant
 from drivers.can.socketcan import SocketCan
 from drivers.config import BusSettings
-from drivers.protocol import Frame
 from hil.app.files import new_file
+from hil.loop.clock import real_time
 from plant_fmu.network.attached import Attached
 from plant_fmu.network.node import Node
 from plant_fmu.network.shared_bus import SharedBus
-from plant_fmu.network.station import Station, bit_rates, exchange
+from plant_fmu.network.station import Station, Stations
 from plant_fmu.network.terminal import read_can_fmu
+
+PRIORITY = 70
+"""SCHED_FIFO priority in real time: below the controller, by default 80."""
 
 
 def open_nodes(given: Sequence[str], opened: ExitStack) -> list[Node]:
@@ -53,18 +56,14 @@ def run_lockstep(
     of the frames as candump writes them, time from 0. Raises PlantError, LogError.
     """
     if log is not None:
-        new_file(log)
+        new_file(log, option="--log")
     with ExitStack() as opened:
         nodes = open_nodes(fmus, opened)
-        writer = None if log is None else CandumpWriter(log, ["fmu"])
-        if writer is not None:
+        bus = SharedBus(nodes, timing, 1000 * step_us, error_every=error_every)
+        if log is not None:
+            writer = CandumpWriter(log, ["fmu"])
             opened.callback(writer.close)
-
-        def on_frame(end_ns: int, _: int, frame: Frame) -> None:
-            if writer is not None:
-                writer.write(end_ns, frame, sent=True)
-
-        bus = SharedBus(nodes, timing, 1000 * step_us, error_every=error_every, on_frame=on_frame)
+            bus.on_frame = lambda end_ns, _, frame: writer.write(end_ns, frame, sent=True)
         begun = time.perf_counter()
         bus.run(round(duration_s * 1e9))
         return {
@@ -97,9 +96,9 @@ def run_attached(
     Raises PlantError, BusError.
     """
     with ExitStack() as opened:
-        stations = [Station(node) for node in open_nodes(fmus, opened)]
-        first = [exchange(stations, index) for index in range(len(stations))]
-        rates = bit_rates(stations, timing)
+        stations = Stations(map(Station, open_nodes(fmus, opened)))
+        first = stations.go(0, 1)
+        rates = stations.bit_rates(timing)
         links: list[Link] = []
         for _ in stations:
             link: Link
@@ -107,14 +106,14 @@ def run_attached(
                 link = Participant(channel, rates, fd=fd, own=True)
             else:
                 settings = BusSettings(interface=interface, channel=channel, layout="fd" if fd else "classic")
-                link = SocketCan(settings.model_copy(update=_rates(rates)))
+                own = {"bitrate_bit_s": rates.bitrate, "data_bitrate_bit_s": rates.data_bitrate}
+                link = SocketCan(settings.model_copy(update=own))
             opened.callback(link.close)
             links.append(link)
         attached = Attached(stations, links, 1000 * step_us)
-        for index, operations in enumerate(first):
-            attached.accept(index, operations)
+        attached.send(first)
         begun = time.monotonic()
-        with suppress(KeyboardInterrupt):
+        with real_time(PRIORITY, None) as granted, suppress(KeyboardInterrupt):
             attached.run(round(duration_s * 1e9))
         return {
             "success": True,
@@ -124,12 +123,8 @@ def run_attached(
             "duration_s": min(duration_s, time.monotonic() - begun),
             "frames": attached.frames,
             "unsent": attached.unsent,
-            "arbitration_lost": attached.lost,
             "error_frames": attached.errors,
-            "lateness_us": attached.lateness_us(),
+            "lateness": attached.lateness(),
+            "real_time": {"granted": granted.granted, "missing": granted.missing},
             "nodes": _counts(stations),
         }
-
-
-def _rates(rates: BitTiming) -> dict[str, int]:
-    return {"bitrate_bit_s": rates.bitrate, "data_bitrate_bit_s": rates.data_bitrate}

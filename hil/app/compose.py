@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,22 +20,21 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS, Reaction
 from hil.app.configuration.bus_budget import bus_names
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.controller_file import controller_of, controller_path
+from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.fault_rules import require_bus
-from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
+from hil.app.configuration.feedforward_file import MOST_BYTES, learned_forces
 from hil.app.configuration.law_file import ATTACHMENT
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.derive_encoder_limits import believed_mass_kg, encoder_limits, leg_errors, read_noise
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
 from hil.app.loop_delay import loop_delay
+from hil.app.recorded_files import NAMED_FILES, REFERENCE_PLAN
 from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
-from hil.config.feedforward import FeedforwardSettings
 from hil.config.model import ModelSettings
-from hil.config.reference import LiveReference, SampledReference, TimeOptimalReference
+from hil.config.reference import LiveReference, TimeOptimalReference
 from hil.control.law import LawContext
 from hil.control.model import build_model
-from hil.control.state_space import StateSpaceSettings
 from hil.design.stability.monitor import build_watch
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.observer import WrenchObserver
@@ -67,20 +65,6 @@ if TYPE_CHECKING:  # imported at run time only by commands that run or record
 
 LENGTH_TOLERANCE_M = 1e-3
 """Largest difference between the plant's initial leg lengths and those of section `platform`."""
-REFERENCE_CSV = "reference.csv"
-"""Attachment of a log: the samples of its reference."""
-CONTROLLER_FILE = "controller.yaml"
-"""Attachment of a log: the controller of law `state_space`."""
-FEEDFORWARD_CSV = "feedforward.csv"
-"""Attachment of a log: the learned feed-forward."""
-REFERENCE_PLAN = "reference.npy"
-"""Attachment of a log: the polynomials of a planned reference."""
-NAMED_FILES: tuple[tuple[str, str, str, type[Any], Callable[[Any, Path], Path]], ...] = (
-    (REFERENCE_CSV, "reference", "path", SampledReference, lambda settings, folder: folder / settings.path),
-    (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings, controller_path),
-    (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings, feedforward_path),
-)
-"""Name in a log, section, key, type of settings and path of each file that a configuration may refer to."""
 
 
 def build_protocol(configuration: Configuration) -> Family:

@@ -1,14 +1,33 @@
 """Files attached to a log, in place of the files that its configuration refers to."""
 
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from hil.app.compose import NAMED_FILES
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.controller_file import controller_path
+from hil.app.configuration.feedforward_file import feedforward_path
+from hil.config.feedforward import FeedforwardSettings
+from hil.config.reference import SampledReference
+from hil.control.state_space import StateSpaceSettings
+
+REFERENCE_CSV = "reference.csv"
+"""Attachment of a log: the samples of its reference."""
+CONTROLLER_FILE = "controller.yaml"
+"""Attachment of a log: the controller of law `state_space`."""
+FEEDFORWARD_CSV = "feedforward.csv"
+"""Attachment of a log: the learned feed-forward."""
+REFERENCE_PLAN = "reference.npy"
+"""Attachment of a log: the polynomials of a planned reference."""
+NAMED_FILES: tuple[tuple[str, str, str, type[Any], Callable[[Any, Path], Path]], ...] = (
+    (REFERENCE_CSV, "reference", "path", SampledReference, lambda settings, folder: folder / settings.path),
+    (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings, controller_path),
+    (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings, feedforward_path),
+)
+"""Name in a log, section, key, type of settings and path of each file that a configuration may refer to."""
 
 
 def sensor_files(configuration: Configuration) -> dict[str, str]:

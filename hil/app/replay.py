@@ -8,13 +8,13 @@ from typing import Any
 from drivers.arrays import Rows
 from drivers.errors import HilError, LogError
 from drivers.tick_columns import RECORDED
-from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
+from hil.app.compose import build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.law_file import ATTACHMENT, PATH, LawFile, UnreadLaw
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import fail, reason
 from hil.app.readable import MOST_RATE_HZ, lacking
-from hil.app.recorded_files import attached
+from hil.app.recorded_files import REFERENCE_PLAN, attached
 from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
 from hil.record import environment

@@ -50,6 +50,8 @@ def command(
     from hil.app.bus import run_attached, run_lockstep
 
     timing, duration_s = BitTiming(bitrate, data_bitrate), duration_s or 1.0
+    if interface is None and classic:
+        raise click.UsageError("--classic is for a bus in real time: add --interface.")
     if interface is None:
         summary = run_lockstep(fmus, timing, step_us, duration_s, error_every=error_every or 0, log=log)
     elif error_every or log:

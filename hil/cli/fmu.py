@@ -47,6 +47,8 @@ def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None, l
     """
     from hil.app.fmu import build_can_fmu, build_fmus
 
+    if ls_bus is not None and fmi == "2.0":
+        raise click.UsageError("--ls-bus makes an FMU of FMI 3.0: leave out --fmi 2.0.")
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
     summary = build_fmus(fmi, output) if ls_bus is None else build_can_fmu(ls_bus, output)

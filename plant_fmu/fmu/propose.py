@@ -92,6 +92,8 @@ def _obstacle(description: Any, members: Sequence[str], path: Path) -> str:
         library(description, members, path)
     except PlantError as error:
         return str(error).removeprefix(f"{path}: ")
+    if any(v.type == "Clock" for v in description.modelVariables):
+        return "it has clocks, as a CAN FMU: host it by `hil bus`, or as drives by plant.drives.fmu"
     return ""
 
 

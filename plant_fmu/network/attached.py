@@ -1,22 +1,21 @@
 """Attached: CAN FMUs on a CAN interface in real time, each with a link of its own.
 
-Arbitration, bit time and errors are those of the interface. The FMUs are stepped in communication steps,
-and a countdown between two steps is met at its own time. A late step is made up for: no step is left out.
+Arbitration, bit time and errors are those of the interface. The FMUs are stepped in communication steps. A
+frame or a countdown between two steps is met at its own time. Late steps are made up for: none is left out.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from drivers.can.arbitration import priority
+from drivers.can.bus import Bus
 from drivers.can.link import OWN, Link
 from drivers.errors import BusError
 from drivers.frame_array import sent_array, unpack_frames
-from drivers.protocol import ERROR, FD, Frame
+from drivers.protocol import ERROR, Frame
 from plant_fmu.network import operations as op
 from plant_fmu.network.operations import Code, Operation
-from plant_fmu.network.station import Station, exchange
+from plant_fmu.network.station import Stations
 
 _BINS_US = 100_000
 """Lateness is counted in bins of 1 us up to this; the last bin has all beyond."""
@@ -25,99 +24,61 @@ _BINS_US = 100_000
 class Attached:
     """CAN FMUs of `stations`, in real time on `links`, one link each with the same clock.
 
-    Mutable state: the stations and links; per station the frames that the interface has not confirmed; the
-    histogram of lateness; counts.
+    The interface keeps a frame that loses arbitration. Mutable state: the stations and links; the histogram
+    of lateness; counts.
     """
 
-    def __init__(self, stations: Sequence[Station], links: Sequence[Link], step_ns: int) -> None:
-        self.stations, self._links, self._step_ns = list(stations), list(links), step_ns
-        self.frames = self.lost = self.errors = self.unsent = 0
-        self._pending: list[list[Frame]] = [[] for _ in self.stations]
+    def __init__(self, stations: Stations, links: Sequence[Link], step_ns: int) -> None:
+        self.stations, self._links, self._step_ns = stations, list(links), step_ns
+        self.frames = self.errors = self.unsent = 0
         self._late = np.zeros(_BINS_US + 1, np.int64)
 
     def run(self, until_ns: int) -> None:
         """Run from time 0 to `until_ns`, ns. Raises PlantError, BusError."""
-        clock = self._links[0].clock
+        bus, clock = Bus(self._links), self._links[0].clock
         begin_ns, now = clock.now(), 0
         while True:
-            self._exchange(now)
+            for index in range(len(self.stations)):
+                self._receive(index)
+            self.send(self.stations.go(now, self._step_ns))
             if now >= until_ns:
                 return
-            dues = [due for s in self.stations if (due := s.node.next_ns()) is not None]
-            now = min(
-                until_ns, now - now % self._step_ns + self._step_ns, *(max(now + 1, due) for due in dues)
-            )
-            clock.sleep_until(begin_ns + now)
-            late_us = (clock.now() - begin_ns - now) // 1000
-            self._late[min(max(late_us, 0), _BINS_US)] += 1
+            due = min(until_ns, self.stations.next_ns(now, self._step_ns))
+            if begin_ns + due > clock.now():
+                bus.block(begin_ns + due, frozenset())
+            reached = clock.now() - begin_ns
+            if reached >= due:
+                self._late[min((reached - due) // 1000, _BINS_US)] += 1
+            now = min(due, max(now, reached))
 
-    def lateness_us(self) -> dict[str, int]:
+    def lateness(self) -> dict[str, int]:
         """Median, 99 % and largest lateness of the steps, us; `largest` is bounded by 0.1 s."""
         counts = np.cumsum(self._late)
         if not counts[-1]:
             return {}
-        places = {"median": 0.5, "p99": 0.99, "largest": 1.0}
+        places = {"median_us": 0.5, "p99_us": 0.99, "largest_us": 1.0}
         return {name: int(np.searchsorted(counts, part * counts[-1])) for name, part in places.items()}
 
-    def _exchange(self, now_ns: int) -> None:
-        for index, station in enumerate(self.stations):
-            self._receive(index)
-            station.node.advance(now_ns)
-            self.accept(index, exchange(self.stations, index))
-
-    def accept(self, index: int, operations: Sequence[Operation]) -> None:
-        """Send the frames of Transmit operations, from station `index`."""
-        for operation in operations:
-            self._send(index, op.to_frame(operation))
-
-    def _send(self, index: int, frame: Frame) -> None:
-        link = self._links[index]
-        try:
-            taken = link.send(sent_array([frame]))
-        except BusError:
-            self.stations[index].refuse(op.encode([op.from_frame(frame)]))
-            return
-        if not taken:
-            self.unsent += 1
-            return
-        self.frames += 1
-        if link.knows_ends:
-            self._pending[index].append(frame)
-        else:
-            self._confirm(index, frame)
-
-    def _confirm(self, index: int, frame: Frame) -> None:
-        self.stations[index].inbox.append(Operation(Code.CONFIRM, (frame.id,)))
+    def send(self, operations: Iterable[tuple[int, Operation]]) -> None:
+        """Send the frames of Transmit operations, each with the index of its station."""
+        for index, operation in operations:
+            station, link = self.stations[index], self._links[index]
+            try:
+                taken = link.send(sent_array([op.to_frame(operation)]))
+            except BusError:
+                station.refuse(op.encode([operation]))
+                continue
+            self.frames += taken
+            self.unsent += not taken
+            if taken and not link.knows_ends:
+                station.inbox.append(Operation(Code.CONFIRM, operation.arguments[:1]))
 
     def _receive(self, index: int) -> None:
-        station, pending, foreign = self.stations[index], self._pending[index], False
+        station = self.stations[index]
         for _, identifier, _, size, flags, data in unpack_frames(self._links[index].receive().tobytes()):
-            frame = Frame(identifier, data[:size], flags & (ERROR - 1))
             if flags & ERROR:
                 self.errors += 1
             elif flags & OWN:
-                self._confirm(index, frame)
-                own = next((k for k, each in enumerate(pending) if _same(each, frame)), None)
-                if own is not None:
-                    del pending[own]
+                station.inbox.append(Operation(Code.CONFIRM, (identifier,)))
             elif station.status != op.BUS_OFF:
-                foreign = True
-                station.inbox.append(op.from_frame(frame))
-        if foreign and pending and station.discards:
-            self._discard(index)
-
-    def _discard(self, index: int) -> None:
-        """Take back the frames that have not started, as another node's frame was first."""
-        withdrawn: Any = self._links[index].flush_tx()  # localcan: a number
-        pending = sorted(self._pending[index], key=lambda frame: priority(frame.id, frame.flags))
-        stays = len(pending) - withdrawn  # only the first of these can have started
-        for frame in pending[stays:]:
-            self.lost += 1
-            self.stations[index].inbox.append(Operation(Code.ARBITRATION_LOST, (frame.id,)))
-        self._pending[index] = pending[:stays]
-
-
-def _same(sent: Frame, heard: Frame) -> bool:
-    """True if `heard` is `sent` with the flag OWN, perhaps padded."""
-    size = len(sent.data)
-    return sent.id == heard.id and sent.data == heard.data[:size] and (sent.flags ^ heard.flags) & FD == 0
+                station.inbox.append(op.from_frame(Frame(identifier, data[:size], flags)))

@@ -30,12 +30,10 @@ from plant_fmu.faults.plan import FaultPlan, Schedule, weight
 from plant_fmu.fmu.check import Reader, Start
 from plant_fmu.network import operations as op
 from plant_fmu.network.node import Node, Signals
-from plant_fmu.network.station import Station, bit_rates, exchange
+from plant_fmu.network.station import Station, Stations
 from plant_fmu.network.terminal import CanFmu, read_can_fmu
 from plant_fmu.plant import Plant, Truth
 
-_ROUNDS = 1000
-"""Most exchanges at one instant."""
 _VARIABLES: dict[str, tuple[str, tuple[str, ...], set[str]]] = {
     "length": ("input", ("m",), {"Float64"}),
     "rate": ("input", ("m/s",), {"Float64"}),
@@ -130,7 +128,7 @@ class FmuNodes(Nodes):
             _drive(path, emulation.fmu, leg if len(paths) > 1 else None) for leg, path in enumerate(paths)
         ]
         self._timing = None if bus.layout == "ideal" else BitTiming.of(bus)
-        self.stations: list[Station] = []
+        self.stations = Stations()
         self.plant: Any = DrivenPlant(plant, self)
         """The plant, which closes the FMUs too."""
         try:
@@ -143,8 +141,8 @@ class FmuNodes(Nodes):
         """Power up at `t0_ns`: plant at its initial state, FMUs new. Raises PlantError as the constructor."""
         assert self._emulation.fmu is not None
         self._t0_ns = self._now_ns = t0_ns
-        self._step_ns = max(1, round(self._emulation.fmu.step_us * 1e3 / self._h_ns)) * self._h_ns
-        self._k = self._steps = 0
+        self._step_ns = round(max(1, round(self._emulation.fmu.step_us * 1e3 / self._h_ns)) * self._h_ns)
+        self._k = 0
         self._length, self._rate = (each.copy() for each in self._plant.reset())
         self._force, self._brake = np.zeros(LEGS), np.zeros(LEGS)
         self.schedule = Schedule(self._faults, t0_ns)
@@ -161,7 +159,7 @@ class FmuNodes(Nodes):
             self._first = [each.frame for each in received_frames(self.advance(t0_ns, NO_FRAMES))]
         self._waits = [(t0_ns, frame) for frame in self._first]
         self._read_outputs()
-        if self._timing is not None and (found := bit_rates(self.stations, self._timing)) != self._timing:
+        if self._timing is not None and (found := self.stations.bit_rates(self._timing)) != self._timing:
             raise PlantError(
                 f"{self._fmus[0].fmu.path}: it configures {found.bitrate} and {found.data_bitrate} bit/s, "
                 f"section bus {self._timing.bitrate} and {self._timing.data_bitrate}: set the same"
@@ -173,12 +171,9 @@ class FmuNodes(Nodes):
             raise PlantError(f"nodes: time {t_ns} ns is before that of the last call, {self._now_ns} ns")
         heard = sorted(received_frames(received), key=lambda each: each.t_ns)
         heard = [each._replace(t_ns=min(each.t_ns, t_ns)) for each in heard]
-        sent, self._waits, rounds = self._waits, [], 0
+        sent, self._waits = self._waits, []
         while True:
             due_ns = min([self._due_ns(), *(each.t_ns for each in heard[:1])])
-            rounds = rounds + 1 if due_ns <= self._now_ns else 0
-            if rounds > _ROUNDS:
-                raise PlantError(f"the CAN FMUs do not settle at {self._now_ns} ns")
             at_ns = min(max(due_ns, self._now_ns), t_ns)
             early = [each for each in heard if each.t_ns <= at_ns]
             heard = heard[len(early) :]
@@ -214,7 +209,8 @@ class FmuNodes(Nodes):
     def next_reading_ns(self) -> int:
         """Time, ns, at which an FMU sends of its own accord: its countdown, else each communication step."""
         if all(station.node.terminal.countdown for station in self.stations):
-            return self._t0_ns + self._countdown_ns()
+            dues = (station.node.next_ns() for station in self.stations)
+            return self._t0_ns + min((due for due in dues if due is not None), default=NEVER_NS)
         return self._due_ns()
 
     @property
@@ -260,24 +256,17 @@ class FmuNodes(Nodes):
         """Free the FMUs. A second call does nothing."""
         for station in self.stations:
             station.node.close()
-        self.stations = []
-
-    def _countdown_ns(self) -> int:
-        """Earliest countdown, ns from the start."""
-        dues = (station.node.next_ns() for station in self.stations)
-        return min((due for due in dues if due is not None), default=NEVER_NS)
+        self.stations.clear()
 
     def _due_ns(self) -> int:
         """Next time, ns, at which something happens without a frame."""
-        grid_ns = round((self._steps + 1) * self._step_ns)
-        own_ns = self._t0_ns + min(grid_ns, self._countdown_ns())
-        return min([own_ns, *self._edges[:1]])
+        own_ns = self.stations.next_ns(self._now_ns - self._t0_ns, self._step_ns)
+        return min([self._t0_ns + own_ns, *self._edges[:1]])
 
     def _go(self, at_ns: int, heard: Sequence[Received]) -> list[Frame]:
         """Move plant and FMUs to an instant; returns the frames that the FMUs send."""
         wrench = self._wrench()
         self._now_ns, since_ns = at_ns, at_ns - self._t0_ns
-        self._steps = int(since_ns / self._step_ns + 1e-9)
         k = round(since_ns / self._h_ns)
         if k > self._k:
             moved = self._plant.step(self._force, self._brake, wrench, (k - self._k) * self._h_s)
@@ -288,18 +277,12 @@ class FmuNodes(Nodes):
         for drive, station in zip(self._fmus, self.stations, strict=True):
             for each in self._inputs(drive, self._length + self._rate * dt_s):
                 station.node.put(each)
-        sent = self._exchange(since_ns, heard)
-        self._read_outputs()
-        return sent
-
-    def _exchange(self, since_ns: int, heard: Sequence[Received]) -> list[Frame]:
         operations = [op.from_frame(off_bus(frame)) for _, frame in heard if not frame.flags & ERROR]
-        sent: list[Frame] = []
-        for index, station in enumerate(self.stations):
+        for station in self.stations:
             if station.status != op.BUS_OFF:
                 station.inbox += operations
-            station.node.advance(since_ns)
-            sent += map(op.to_frame, exchange(self.stations, index))
+        sent = [op.to_frame(operation) for _, operation in self.stations.go(since_ns, 1)]
+        self._read_outputs()
         return sent
 
     def _inputs(self, drive: _Drive, length: Array) -> list[Signals]:

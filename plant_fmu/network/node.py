@@ -183,7 +183,11 @@ class Node:
         for _ in range(_ROUNDS):
             if due if terminal.countdown else self._triggered():
                 self._call("fmi3GetBinary", self._references[terminal.tx_data], 1, self._size, self._value, 1)
-                parts.append(ct.string_at(self._value[0], self._size[0]) if self._size[0] else b"")
+                size, data = self._size[0], self._value[0]
+                if size > terminal.most_sent or (size and not data):
+                    given = f"{size} bytes" if data else "no data"
+                    raise self._error(f"Tx_Data has {given}, its maxSize is {terminal.most_sent}")
+                parts.append(ct.string_at(data, size) if size else b"")
             again, due = self._update(), False
             if not again:
                 self._wants_event = False

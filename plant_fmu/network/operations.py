@@ -140,11 +140,6 @@ def _decoded(number: int, binary: bytes) -> Operation | None:
     return Operation(code, tuple(values), data)
 
 
-def format_error(corrupt: bytes, most: int) -> Operation:
-    """Answer to corrupt bytes; at most `most` bytes of them are in it."""
-    return Operation(Code.FORMAT_ERROR, (), corrupt[: max(0, min(most, MAX_DATA))])
-
-
 def to_frame(operation: Operation) -> Frame:
     """Frame of a CAN Transmit or CAN FD Transmit."""
     identifier, extended, second, *more = operation.arguments

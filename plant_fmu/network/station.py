@@ -1,6 +1,4 @@
-"""Station: one CAN FMU as a participant of a bus, with what the standard makes the bus remember of it."""
-
-from collections.abc import Iterable, Sequence
+"""Station: one CAN FMU as a participant of a bus, and Stations: all of them."""
 
 from drivers.can.bus_time import BitTiming
 from drivers.errors import PlantError
@@ -9,6 +7,8 @@ from plant_fmu.network.node import Node
 from plant_fmu.network.operations import Code, Corrupt, Operation
 
 _CONSUMED = {Code.CAN_TRANSMIT, Code.CAN_FD_TRANSMIT}
+_ROUNDS = 1000
+"""Most exchanges of one FMU at one instant."""
 
 
 class Station:
@@ -59,7 +59,7 @@ class Station:
         self.corrupt += 1
         if int.from_bytes(binary[:4], "little") != Code.FORMAT_ERROR:  # no answer to an answer
             most = self.node.terminal.most_bytes - op.HEADER.size - 2
-            self.inbox.append(op.format_error(binary, most))
+            self.inbox.append(Operation(Code.FORMAT_ERROR, (), binary[: max(0, min(most, op.MAX_DATA))]))
 
     def _packed(self) -> bytes:
         """Operations of the inbox that fit into Rx_Data; the others stay for the next event."""
@@ -74,28 +74,63 @@ class Station:
         return packed
 
 
-def exchange(stations: Sequence[Station], index: int) -> list[Operation]:
-    """Exchange with station `index`; returns its Transmit operations. A Wakeup goes to the others."""
-    found = stations[index].exchange()
-    if wakeups := [each for each in found if each.code is Code.WAKEUP]:
-        for station in (*stations[:index], *stations[index + 1 :]):
-            station.inbox += wakeups
-    return [each for each in found if each.code is not Code.WAKEUP] if wakeups else found
+class Stations(list[Station]):
+    """CAN FMUs on one bus. Mutable state: the stations."""
 
+    def go(self, now_ns: int, step_ns: int) -> list[tuple[int, Operation]]:
+        """Step the FMUs to `now_ns` and let them exchange until they settle.
 
-def bit_rates(stations: Iterable["Station"], default: BitTiming) -> BitTiming:
-    """Bit rates that the nodes have configured, those of `default` where none has.
+        Returns their Transmit operations, each with the index of its station. A Wakeup goes to the others.
+        An FMU with a countdown and without received operations is stepped at multiples of `step_ns`. Raises
+        PlantError.
+        """
+        found: list[tuple[int, Operation]] = []
+        for node in (station.node for station in self):
+            if now_ns % step_ns == 0 or node.fmu.step_ns or not node.terminal.countdown:
+                node.advance(now_ns)
+        for _ in range(_ROUNDS):
+            busy = False
+            for index, station in enumerate(self):
+                node, due_ns = station.node, station.node.next_ns()
+                if station.inbox or (due_ns is not None and due_ns <= now_ns):
+                    node.advance(now_ns)
+                    if node.reached_ns == now_ns:
+                        busy = True
+                        found += self._exchange(index, station)
+            if not busy:
+                return found
+        raise PlantError(f"the CAN FMUs send without end at {now_ns} ns: their time stands still")
 
-    Raises PlantError if two nodes differ.
-    """
-    agreed: dict[int, tuple[int, str]] = {}
-    for station in stations:
-        for kind, rate in station.rates.items():
-            known, other = agreed.setdefault(kind, (rate, station.node.name))
-            if known != rate:
-                raise PlantError(
-                    f"{station.node.name} configures {rate} bit/s, {other} {known}: nodes of one bus need "
-                    "the same bit rates"
-                )
-    rates = {kind: rate for kind, (rate, _) in agreed.items()}
-    return BitTiming(rates.get(op.CAN_RATE, default.bitrate), rates.get(op.FD_RATE, default.data_bitrate))
+    def _exchange(self, index: int, station: Station) -> list[tuple[int, Operation]]:
+        found = station.exchange()
+        wakeups = [each for each in found if each.code is Code.WAKEUP]
+        for other in self:
+            if other is not station:
+                other.inbox += wakeups
+        return [(index, each) for each in found if each.code is not Code.WAKEUP]
+
+    def next_ns(self, now_ns: int, step_ns: int) -> int:
+        """Next time, ns, at which `go` has work: a multiple of `step_ns`, a countdown, the end of a step."""
+        times = [now_ns - now_ns % step_ns + step_ns]
+        for node in (station.node for station in self):
+            if step := node.fmu.step_ns:
+                times.append(now_ns - now_ns % step + step)
+            elif (due_ns := node.next_ns()) is not None:
+                times.append(max(due_ns, now_ns))
+        return min(times)
+
+    def bit_rates(self, default: BitTiming) -> BitTiming:
+        """Bit rates that the FMUs have configured, those of `default` where none has.
+
+        Raises PlantError if two FMUs differ.
+        """
+        agreed: dict[int, int] = {}
+        for station in self:
+            for kind, rate in station.rates.items():
+                if (known := agreed.setdefault(kind, rate)) != rate:
+                    raise PlantError(
+                        f"{station.node.name} configures {rate} bit/s, another FMU {known}: all FMUs of one "
+                        "bus need the same bit rates"
+                    )
+        rates = agreed.get(op.CAN_RATE, default.bitrate), agreed.get(op.FD_RATE, default.data_bitrate)
+        return BitTiming(*rates)

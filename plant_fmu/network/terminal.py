@@ -36,6 +36,8 @@ class BusTerminal:
     """True if the Tx clock is an input of kind countdown, False if it is a triggered output."""
     most_bytes: int
     """Largest binary that Rx_Data takes; a large number if the FMU states none."""
+    most_sent: int
+    """Likewise, that Tx_Data gives."""
     notifications: int | None
     """Boolean parameter BusNotifications; None if the FMU has none that can be set."""
     structural: bool
@@ -67,7 +69,8 @@ def read_can_fmu(path: Path, terminal: str = "") -> CanFmu:
     interface = description.coSimulation
     if major(description) < 3 or not interface.hasEventMode:
         raise PlantError(
-            f"{path}: a CAN FMU is FMI 3.0 with hasEventMode; this is FMI {description.fmiVersion}"
+            f"{path}: not a CAN FMU: it needs FMI 3.0 with hasEventMode; this is FMI "
+            f"{description.fmiVersion}{'' if major(description) < 3 else ' without hasEventMode'}"
         )
     if interface.needsExecutionTool:
         raise PlantError(f"{path}: the FMU needs its tool at run time; export a stand-alone FMU")
@@ -142,7 +145,8 @@ def _terminal(path: Path, node: ET.Element, variables: dict[str, ET.Element]) ->
     causality = "" if switch is None else switch.get("causality", "local")
     settable = switch is not None and causality in {"parameter", "structuralParameter"}
     rx_data, rx_clock, tx_data, tx_clock = (_reference(path, found[each]) for each in _MEMBERS)
-    size = found["Rx_Data"].get("maxSize", "")
+    sizes = (found[each].get("maxSize", "") for each in ("Rx_Data", "Tx_Data"))
+    most_bytes, most_sent = (int(each) if each.isdigit() and int(each) else 1 << 20 for each in sizes)
     return BusTerminal(
         name=name,
         rx_data=rx_data,
@@ -150,7 +154,8 @@ def _terminal(path: Path, node: ET.Element, variables: dict[str, ET.Element]) ->
         tx_data=tx_data,
         tx_clock=tx_clock,
         countdown=countdown,
-        most_bytes=int(size) if size.isdigit() and int(size) else 1 << 20,
+        most_bytes=most_bytes,
+        most_sent=most_sent,
         notifications=_reference(path, switch) if switch is not None and settable else None,
         structural=causality == "structuralParameter",
     )

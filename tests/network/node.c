@@ -117,6 +117,12 @@ FMI3_Export fmi3Status fmi3GetBinary(
     size_t number) {
     Node* n = i;
     values[0] = n->tx, sizes[0] = n->tx_size, n->taken = true;
+#ifdef LIE
+    sizes[0] = LIE;
+#endif
+#ifdef NO_DATA
+    values[0] = NULL;
+#endif
     return r[0] == TX_DATA ? fmi3OK : fmi3Error;
 }
 
@@ -139,6 +145,9 @@ FMI3_Export fmi3Status fmi3GetIntervalDecimal(
     if (n->now < SILENT_UNTIL_NS) return fmi3OK;
 #endif
     intervals[0] = n->again || n->tx_size ? 0.0 : 1e-9 * (double)(n->next - n->now);
+#ifdef STUCK
+    intervals[0] = STUCK;
+#endif
     qualifiers[0] = fmi3IntervalChanged;
     return fmi3OK;
 }

@@ -1,5 +1,6 @@
 """CAN FMUs on localcan in real time, with another participant that is not an FMU."""
 
+import os
 import threading
 import time
 
@@ -10,9 +11,10 @@ from drivers.can.localcan.participant import Participant
 from drivers.frame_array import received_frames, sent_array
 from drivers.protocol import Frame
 from hil.app.bus import run_attached
+from hil.loop.clock import fifo_allowed
 from plant_fmu.network.attached import Attached
-from plant_fmu.network.station import Station
-from tests.network.can_nodes import demo_node
+from plant_fmu.network.station import Station, Stations
+from tests.network.can_nodes import build_node, demo_node
 
 RATES = BitTiming(500_000, 5_000_000)
 MS = 1_000_000
@@ -25,7 +27,8 @@ def own_folder(tmp_path, monkeypatch):
 
 
 def test_frames_pass_both_ways_between_can_fmus_and_another_participant(hosted):
-    stations = [Station(hosted(0x100, PERIOD_NS=10 * MS)), Station(hosted(0x200, countdown=False))]
+    nodes = [hosted(0x100, PERIOD_NS=10 * MS), hosted(0x200, countdown=False)]
+    stations = Stations(map(Station, nodes))
     others = [Participant("fmus", RATES, fd=True, own=True) for _ in stations]
     listener = Participant("fmus", RATES, fd=True)
     attached = Attached(stations, others, MS)
@@ -44,7 +47,16 @@ def test_frames_pass_both_ways_between_can_fmus_and_another_participant(hosted):
     assert [each.frame.id for each in heard].count(0x200) == 300
     assert data[0x100][CONFIRMED] in range(25, 31)
     assert data[0x200][RECEIVED] in range(25, 32)  # 30 of the other node, one of the participant
-    assert set(attached.lateness_us()) == {"median", "p99", "largest"}
+    assert set(attached.lateness()) == {"median_us", "p99_us", "largest_us"}
+
+
+def test_hil_bus_in_real_time_holds_the_priority_that_the_user_may_have(tmp_path, monkeypatch):
+    held = []
+    monkeypatch.setattr(Attached, "run", lambda *_: held.append(os.sched_getscheduler(0)))
+    fmu, allowed = str(build_node(tmp_path, 0x100)), fifo_allowed(70)
+    summary = run_attached([fmu], RATES, 1000, 0.01, interface="localcan", channel="first", fd=True)
+    assert (held[0] & os.SCHED_FIFO != 0) == allowed
+    assert ("SCHED_FIFO" in str(summary["real_time"]["granted"])) == allowed
 
 
 @pytest.mark.realtime(patient=True)

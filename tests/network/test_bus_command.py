@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli.bus import command
+from hil.cli.fmu import fmu_show_command
 from tests.network.can_nodes import build_node, description, terminals
 
 
@@ -21,6 +22,25 @@ def test_lockstep_writes_all_frames_with_their_ends(tmp_path):
         "(0.001540) fmu 200",
         "(0.002270) fmu 100",
     ]
+
+
+def test_fmu_show_leads_from_a_can_fmu_to_hil_bus(tmp_path):
+    done = CliRunner().invoke(fmu_show_command, [str(build_node(tmp_path, 0x100))])
+    assert "`hil bus`" in done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--log", "none/frames.log"], "--log none/frames.log"),
+        (["--classic"], "--classic"),
+        (["--interface", "localcan", "--error-every", "3"], "--error-every"),
+    ],
+)
+def test_option_that_cannot_act_is_refused_by_its_name(options, word):
+    done = CliRunner().invoke(command, ["none.fmu", *options])
+    assert done.exit_code != 0
+    assert word in done.output + str(done.exception)
 
 
 @pytest.mark.parametrize(

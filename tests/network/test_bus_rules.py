@@ -1,5 +1,7 @@
 """Rules of the standard for a CAN bus, byte by byte: the operations are written by hand from FMI-LS-BUS 1.0."""
 
+import threading
+
 import pytest
 
 from drivers.can.bus_time import BitTiming
@@ -8,9 +10,8 @@ from drivers.errors import PlantError
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
 from plant_fmu.network.attached import Attached
-from plant_fmu.network.operations import Operation, decode
 from plant_fmu.network.shared_bus import SharedBus
-from plant_fmu.network.station import Station
+from plant_fmu.network.station import Station, Stations
 from tests.network.scripted_node import ScriptedNode
 
 MS = 1_000_000
@@ -136,6 +137,29 @@ def test_early_return_outside_of_its_step_is_refused(hosted, last):
         node.advance(MS)
 
 
+@pytest.mark.parametrize("macros", [{"LIE": "1LL << 50"}, {"LIE": 2049}, {"NO_DATA": 1}])
+def test_binary_beyond_its_declared_size_or_without_data_is_refused(hosted, macros):
+    with pytest.raises(PlantError, match="Tx_Data"):
+        SharedBus([hosted(0x100, **macros)], RATES, MS).run(2 * MS)
+
+
+@pytest.mark.parametrize("wait", ["NAN", "-1.0", "INFINITY"])
+def test_countdown_that_is_no_time_is_refused(hosted, wait):
+    with pytest.raises(PlantError, match="Tx_Clock"):
+        hosted(0x100, STUCK=wait).exchange(b"")
+
+
+def test_fmu_that_is_due_without_end_is_refused_on_localcan_and_in_lockstep(hosted, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    node = hosted(0x100, STUCK="0.0")
+    with pytest.raises(PlantError, match="without end"):
+        SharedBus([node], RATES, MS).run(MS)
+    link = Participant("stuck", RATES)
+    with pytest.raises(PlantError, match="without end"):
+        Attached(Stations([Station(node)]), [link], MS).run(MS)
+    link.close()
+
+
 def test_countdown_of_a_fixed_step_node_is_due_at_the_end_of_its_step(hosted):
     node = hosted(0x100, OFFSET_NS=3 * MS, FIXED_STEP_MS=10)
     node.exchange(b"")
@@ -143,20 +167,17 @@ def test_countdown_of_a_fixed_step_node_is_due_at_the_end_of_its_step(hosted):
     assert node.next_ns() == 10 * MS
 
 
-def test_frame_taken_back_on_localcan_is_the_one_that_is_notified(tmp_path, monkeypatch):
+def test_frames_between_two_steps_on_localcan_are_heard_when_they_end(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    slow = BitTiming(2_000, 2_000)  # a frame of one byte takes 32.5 ms
-    own, other = (Participant("order", slow, fd=False, own=mine) for mine in (True, False))
-    node = ScriptedNode([(0, DISCARD)])
-    attached = Attached([Station(node)], [own], MS)
-    other.send(sent_array([Frame(0x10, b"\1")]))
-    both = decode(bytes.fromhex(transmit(0x30) + transmit(0x20)))
-    attached.accept(0, [each for each in both if isinstance(each, Operation)])
-    attached.run(150 * MS)
-    for link in (own, other):
+    first, second, other = (Participant("prompt", RATES, own=mine) for mine in (True, True, False))
+    nodes = [ScriptedNode([(100 * MS, transmit(0x10))]), ScriptedNode()]
+    later = threading.Timer(0.2, other.send, [sent_array([Frame(0x20, b"\xaa")])])
+    later.start()
+    Attached(Stations(map(Station, nodes)), [first, second], 1000 * MS).run(1000 * MS)
+    for link in (first, second, other):
         link.close()
-    texts = "".join(text for _, text in node.heard)
-    assert arbitration_lost(0x30) in texts
-    assert confirm(0x20) in texts
-    assert arbitration_lost(0x20) not in texts
-    assert len(decode(bytes.fromhex(texts))) == 3
+    own, frame = nodes[0].heard, nodes[1].heard
+    assert [text for _, text in own] == [confirm(0x10), transmit(0x20)]
+    assert [text for _, text in frame] == [transmit(0x10), transmit(0x20)]
+    assert own[0][0] >= 100 * MS + CLASSIC_1_NS
+    assert max(t_ns for t_ns, _ in own + frame) < 950 * MS

@@ -8,10 +8,9 @@ import numpy as np
 from drivers.arrays import Array, Rows
 from drivers.errors import LogError
 from drivers.signals import Fault, Mode, Warn
-from hil.app.compose import FEEDFORWARD_CSV
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.feedforward_file import made_for, read_feedforward
-from hil.app.recorded_files import attached
+from hil.app.recorded_files import FEEDFORWARD_CSV, attached
 from hil.config.feedforward import FeedforwardHead, MadeFor
 from hil.lab.identify.linearised import linearised_law
 from hil.lab.identify.runs import recorded_run, refuse_fused

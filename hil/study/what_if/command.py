@@ -13,13 +13,13 @@ from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES
 from drivers.protocol import Frame
 from drivers.signals import LEGS
-from hil.app.compose import NAMED_FILES, REFERENCE_PLAN, attachments, build_cycle, build_scene, databases
+from hil.app.compose import attachments, build_cycle, build_scene, databases
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.feedforward_file import learned_forces
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import leaving, log_path
 from hil.app.readable import lacking
-from hil.app.recorded_files import with_attachments
+from hil.app.recorded_files import NAMED_FILES, REFERENCE_PLAN, with_attachments
 from hil.app.replay import WHAT_IF, law_of_log, open_replayable
 from hil.app.terminal import one_line
 from hil.loop.clock import collector_paused

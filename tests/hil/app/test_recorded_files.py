@@ -9,10 +9,15 @@ import pytest
 
 from drivers.errors import ConfigurationError, LogError
 from drivers.sensing.settings import SensorSettings
-from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV, build_sensors, databases
+from hil.app.compose import build_sensors, databases
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
-from hil.app.recorded_files import with_attachments
+from hil.app.recorded_files import (
+    CONTROLLER_FILE,
+    FEEDFORWARD_CSV,
+    REFERENCE_CSV,
+    with_attachments,
+)
 from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import SampledReference
 from hil.control.state_space import StateSpaceSettings

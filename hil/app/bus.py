@@ -123,6 +123,7 @@ def run_attached(
             "duration_s": min(duration_s, time.monotonic() - begun),
             "frames": attached.frames,
             "unsent": attached.unsent,
+            "arbitration_lost": attached.lost,
             "error_frames": attached.errors,
             "lateness": attached.lateness(),
             "real_time": {"granted": granted.granted, "missing": granted.missing},

@@ -5,14 +5,16 @@ frame or a countdown between two steps is met at its own time. Late steps are ma
 """
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
+from drivers.can.arbitration import priority
 from drivers.can.bus import Bus
 from drivers.can.link import OWN, Link
 from drivers.errors import BusError
 from drivers.frame_array import sent_array, unpack_frames
-from drivers.protocol import ERROR, Frame
+from drivers.protocol import ERROR, FD, Frame
 from plant_fmu.network import operations as op
 from plant_fmu.network.operations import Code, Operation
 from plant_fmu.network.station import Stations
@@ -24,13 +26,14 @@ _BINS_US = 100_000
 class Attached:
     """CAN FMUs of `stations`, in real time on `links`, one link each with the same clock.
 
-    The interface keeps a frame that loses arbitration. Mutable state: the stations and links; the histogram
-    of lateness; counts.
+    Mutable state: the stations and links; per station the frames that the interface has not confirmed; the
+    histogram of lateness; counts.
     """
 
     def __init__(self, stations: Stations, links: Sequence[Link], step_ns: int) -> None:
         self.stations, self._links, self._step_ns = stations, list(links), step_ns
-        self.frames = self.errors = self.unsent = 0
+        self.frames = self.lost = self.errors = self.unsent = 0
+        self._pending: list[list[Frame]] = [[] for _ in self.stations]
         self._late = np.zeros(_BINS_US + 1, np.int64)
 
     def run(self, until_ns: int) -> None:
@@ -62,23 +65,56 @@ class Attached:
     def send(self, operations: Iterable[tuple[int, Operation]]) -> None:
         """Send the frames of Transmit operations, each with the index of its station."""
         for index, operation in operations:
-            station, link = self.stations[index], self._links[index]
-            try:
-                taken = link.send(sent_array([op.to_frame(operation)]))
-            except BusError:
-                station.refuse(op.encode([operation]))
-                continue
-            self.frames += taken
-            self.unsent += not taken
-            if taken and not link.knows_ends:
-                station.inbox.append(Operation(Code.CONFIRM, operation.arguments[:1]))
+            self._send(index, op.to_frame(operation))
+
+    def _send(self, index: int, frame: Frame) -> None:
+        link = self._links[index]
+        try:
+            taken = link.send(sent_array([frame]))
+        except BusError:
+            self.stations[index].refuse(op.encode([op.from_frame(frame)]))
+            return
+        if not taken:
+            self.unsent += 1
+            return
+        self.frames += 1
+        if link.knows_ends:
+            self._pending[index].append(frame)
+        else:
+            self._confirm(index, frame)
+
+    def _confirm(self, index: int, frame: Frame) -> None:
+        self.stations[index].inbox.append(Operation(Code.CONFIRM, (frame.id,)))
 
     def _receive(self, index: int) -> None:
-        station = self.stations[index]
+        station, pending, foreign = self.stations[index], self._pending[index], False
         for _, identifier, _, size, flags, data in unpack_frames(self._links[index].receive().tobytes()):
+            frame = Frame(identifier, data[:size], flags & (ERROR - 1))
             if flags & ERROR:
                 self.errors += 1
             elif flags & OWN:
-                station.inbox.append(Operation(Code.CONFIRM, (identifier,)))
+                self._confirm(index, frame)
+                own = next((k for k, each in enumerate(pending) if _same(each, frame)), None)
+                if own is not None:
+                    del pending[own]
             elif station.status != op.BUS_OFF:
-                station.inbox.append(op.from_frame(Frame(identifier, data[:size], flags)))
+                foreign = True
+                station.inbox.append(op.from_frame(frame))
+        if foreign and pending and station.discards:
+            self._discard(index)
+
+    def _discard(self, index: int) -> None:
+        """Take back the frames that have not started, as another node's frame was first."""
+        withdrawn: Any = self._links[index].flush_tx()  # localcan: a number
+        pending = sorted(self._pending[index], key=lambda frame: priority(frame.id, frame.flags))
+        stays = len(pending) - withdrawn  # only the first of these can have started
+        for frame in pending[stays:]:
+            self.lost += 1
+            self.stations[index].inbox.append(Operation(Code.ARBITRATION_LOST, (frame.id,)))
+        self._pending[index] = pending[:stays]
+
+
+def _same(sent: Frame, heard: Frame) -> bool:
+    """True if `heard` is `sent` with the flag OWN, perhaps padded."""
+    size = len(sent.data)
+    return sent.id == heard.id and sent.data == heard.data[:size] and (sent.flags ^ heard.flags) & FD == 0

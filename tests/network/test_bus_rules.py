@@ -10,6 +10,7 @@ from drivers.errors import PlantError
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
 from plant_fmu.network.attached import Attached
+from plant_fmu.network.operations import Operation, decode
 from plant_fmu.network.shared_bus import SharedBus
 from plant_fmu.network.station import Station, Stations
 from tests.network.scripted_node import ScriptedNode
@@ -165,6 +166,25 @@ def test_countdown_of_a_fixed_step_node_is_due_at_the_end_of_its_step(hosted):
     node.exchange(b"")
     assert node.exchange(b"")  # its configuration
     assert node.next_ns() == 10 * MS
+
+
+def test_frame_taken_back_on_localcan_is_the_one_that_is_notified(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    slow = BitTiming(2_000, 2_000)  # a frame of one byte takes 32.5 ms
+    own, other = (Participant("order", slow, fd=False, own=mine) for mine in (True, False))
+    node = ScriptedNode([(0, DISCARD)])
+    attached = Attached(Stations([Station(node)]), [own], MS)
+    other.send(sent_array([Frame(0x10, b"\1")]))
+    both = decode(bytes.fromhex(transmit(0x30) + transmit(0x20)))
+    attached.send((0, each) for each in both if isinstance(each, Operation))
+    attached.run(150 * MS)
+    for link in (own, other):
+        link.close()
+    texts = "".join(text for _, text in node.heard)
+    assert arbitration_lost(0x30) in texts
+    assert confirm(0x20) in texts
+    assert arbitration_lost(0x20) not in texts
+    assert len(decode(bytes.fromhex(texts))) == 3
 
 
 def test_frames_between_two_steps_on_localcan_are_heard_when_they_end(tmp_path, monkeypatch):

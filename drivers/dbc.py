@@ -381,6 +381,7 @@ class DbcProtocol(MotorProtocol):
             reported_lengths=(np.minimum(*ends), np.maximum(*ends)) if np.isfinite(ends).all() else None,
             has_watchdog=False,
             power_told=power_told,
+            reports_force=bool({"torque", "current"} & set(self._given)),
             dangers=(NO_BRAKE, unwatched("dbc")),
             **own,
         )

@@ -167,6 +167,7 @@ class ODriveProtocol(MotorProtocol):
             unasked_s=self._unasked_s,
             stop_latches=True,
             power_told="heartbeat",
+            reports_force=False,
             dangers=(_BRAKES, _WATCHDOGS),
         )
 

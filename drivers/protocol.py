@@ -178,6 +178,8 @@ class Traits:
     """True if `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
     power_told: Literal["feedback", "heartbeat", "never"] = "feedback"
     """Message by which a drive reports that it is no longer enabled."""
+    reports_force: bool = True
+    """True if a feedback has the force that the drive gives: column `drive_force`."""
     reported_lengths: tuple[Array, Array] | None = None
     """Shortest and longest leg lengths, (6,) m, that feedback can carry; None: no limit."""
 

@@ -23,10 +23,12 @@ from hil.record.environment import product_version
 from hil.record.mirror import FIGURES, Mirror, mirror_path
 from hil.record.row import TICKS, describe
 
+BOOT_NS = 5_000_000_000_000
+"""Time of tick 0 on the clock of the machine."""
 BUS = "localcan", "hil0"
 EVENTS = [
-    {"number": 1, "t_ns": 5_000_000, "level": "info", "text": "<b>begun</b>"},
-    {"number": 2, "t_ns": 9_000_000, "level": "error", "text": 'it broke\n{"fault": "DRIVE"}'},
+    {"number": 1, "t_ns": BOOT_NS + 5_000_000, "level": "info", "text": "<b>begun</b>"},
+    {"number": 2, "t_ns": BOOT_NS + 9_000_000, "level": "error", "text": 'it broke\n{"fault": "DRIVE"}'},
 ]
 
 
@@ -37,7 +39,8 @@ class LiveRun:
         about = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
         about |= {"name": name, "version": product_version(), "columns": describe(TICKS.columns)}
         self.mirror = Mirror(mirror_path(*BUS), about)
-        self._rows, self._going = rows, True
+        self._rows, self._going = rows.copy(), True
+        self._rows["t_ns"] += BOOT_NS
         self.shown = 0
         self._thread = threading.Thread(target=self._play)
         self._thread.start()
@@ -158,7 +161,7 @@ class Watch:
 
     def __exit__(self, *_: object) -> None:
         self.process.terminate()
-        self.process.communicate(timeout=20.0)
+        self.process.communicate(timeout=60.0)  # its priority is low
 
 
 def operating(folder: Path) -> str:

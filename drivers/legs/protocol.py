@@ -210,6 +210,7 @@ class LegsProtocol(Family):
             force_on_brakes=True,
             answers_name_sync=True,
             latches_together=True,
+            reports_force="Force" in of.signals,
         )
 
     def controller_end(self, setup: DriveSetup) -> LegsController:

@@ -17,7 +17,7 @@ BROKEN_PIPE = 128 + signal.SIGPIPE
 
 
 def pressed(signum: int, frame: FrameType | None) -> None:
-    """Handle SIGINT: raise KeyboardInterrupt, unless the clean-up after an earlier one is under way."""
+    """Raise KeyboardInterrupt at SIGINT or SIGTERM, unless the clean-up after an earlier one is under way."""
     del signum, frame
     if not isinstance(sys.exc_info()[1], KeyboardInterrupt):
         raise KeyboardInterrupt
@@ -57,11 +57,12 @@ def _dropping(stream: TextIO, raws: list[_Raw]) -> TextIO:
 def attached() -> Iterator[None]:
     """Install the signal handling and the output streams of the process.
 
-    SIGINT goes to `pressed`, unless it is ignored, as in the background of a script. Afterwards it is
+    SIGINT and SIGTERM go to `pressed`, unless ignored, as in the background of a script. Afterwards SIGINT is
     ignored, so that Python exits undisturbed. Exits with BROKEN_PIPE or 1 if output could not be printed.
     """
-    if signal.getsignal(signal.SIGINT) in {signal.default_int_handler, signal.SIG_DFL}:
-        signal.signal(signal.SIGINT, pressed)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) in {signal.default_int_handler, signal.SIG_DFL}:
+            signal.signal(number, pressed)
     if isinstance(sys.stdin, io.TextIOWrapper):
         sys.stdin.reconfigure(errors="replace")
     before, raws = (sys.stdout, sys.stderr), list[_Raw]()
@@ -70,6 +71,8 @@ def attached() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if signal.getsignal(signal.SIGTERM) is pressed:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
         for stream in filter(None, (sys.stdout, sys.stderr)):  # None: closed by who started us
             stream.flush()
         sys.stdout, sys.stderr = before

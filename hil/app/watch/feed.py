@@ -52,10 +52,11 @@ class Feed:
         piece = reader.read()
         if piece is None:
             return
-        if piece.events != self._events:
-            self._events = piece.events
-            self.events = event("events", [_shown_event(each) for each in piece.events])
         try:
+            if piece.events != self._events:
+                self._events = piece.events
+                begin_s = 1e-9 * piece.row["t_ns"] - piece.row["tick"] / reader.about["rate_Hz"]
+                self.events = event("events", [_shown_event(each, begin_s) for each in piece.events])
             shown = state(piece, reader.about, time.monotonic_ns())
         except (AttributeError, LookupError, TypeError, ValueError):
             self._trouble(f"{self._path} comes from another version of hil: use the version of the run")
@@ -68,7 +69,7 @@ class Feed:
         """Event with the curves of the last minute, for a new viewer; empty without a run."""
         reader, now = self._reader, time.monotonic()
         if reader is not None and now - self._past[0] > PAST_S:
-            self._past = now, event("past", curves(reader.past(), reader.about["rate_Hz"]))
+            self._past = now, event("past", curves(reader.past(), reader.about))
         return self._past[1]
 
     def _follow(self) -> None:
@@ -99,8 +100,8 @@ def event(name: str, data: Any) -> bytes:
     return f"event: {name}\ndata: {text}\n\n".encode()
 
 
-def _shown_event(found: dict[str, Any]) -> dict[str, Any]:
-    """Event of the log for the page, without the values behind the text of a finding."""
+def _shown_event(found: dict[str, Any], begin_s: float) -> dict[str, Any]:
+    """Event of the log for the page, at its time since tick 0, without the values behind a finding's text."""
     text, _, last = found["text"].rpartition("\n")
     shown = text if text and last.startswith("{") else found["text"]
-    return {"t": round(found["t_ns"] * 1e-9, 3), "level": found["level"], "text": shown}
+    return {"t": round(1e-9 * found["t_ns"] - begin_s, 3), "level": found["level"], "text": shown}

@@ -1,6 +1,5 @@
 """Earlier runs for the live page: the logs of a folder, and reports about one or two of them."""
 
-import subprocess
 import tempfile
 import threading
 import time
@@ -8,6 +7,7 @@ from collections.abc import Iterator
 from http import HTTPStatus
 from math import isfinite
 from pathlib import Path
+from subprocess import DEVNULL, PIPE
 from typing import Any
 
 from drivers.child_process import start
@@ -22,8 +22,6 @@ from hil.record.schema import PEAK_ERROR, SPAN, SUMMARY
 
 MOST = 200
 """Most logs listed, the newest first."""
-REPORT_S = 600.0
-"""Timeout of a report."""
 
 
 class History:
@@ -53,22 +51,9 @@ class History:
             raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "another report is being made: try again later")
         try:
             with tempfile.TemporaryDirectory(prefix="hil-report-") as folder:
-                out = Path(folder) / "report.html"
-                logs = [str(self._folder / name) for name in names]
-                child = start(
-                    "hil.cli",
-                    "report",
-                    *logs,
-                    "--out",
-                    str(out),
-                    stderr=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL,
-                )
-                try:
-                    _, trouble = child.communicate(timeout=REPORT_S)
-                except subprocess.TimeoutExpired:
-                    child.kill()
-                    _, trouble = child.communicate()
+                out, logs = Path(folder) / "report.html", [str(self._folder / name) for name in names]
+                words, pipes = ("report", *logs, "--out", str(out)), {"stderr": PIPE, "stdout": DEVNULL}
+                _, trouble = start("hil.cli", *words, **pipes).communicate()
                 if not out.exists():
                     raise Refused(HTTPStatus.INTERNAL_SERVER_ERROR, trouble.decode(errors="replace").strip())
                 return out.read_bytes()

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drivers import build_protocol
 from drivers.arrays import Rows
 from drivers.signals import NEVER, Mode
 from drivers.tick_columns import COLUMNS
@@ -50,6 +51,7 @@ def run_description(c: Configuration, log: Path, rate_Hz: float, duration_s: flo
             for bus, legs in zip(c.bus.buses, c.bus.legs, strict=True)
         ],
         "law": c.controller.law,
+        "reports_force": build_protocol(c.bus, c.drives).traits.reports_force,
         "key_needed": c.operator.deadman_s is not None,
         "stale_fault_ticks": c.limits.stale_fault_ticks,
         "reference_s": duration_s,
@@ -110,7 +112,7 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
             "q": [x if h else None for x, h in zip(numbers(row["q"], 5), heard.tolist(), strict=True)],
             "margin": numbers(np.where(heard, 1e3 * left, np.nan), 2),
             "tau": numbers(row["tau"], 3),
-            "given": numbers(np.where(heard, row["drive_force"], np.nan), 3),
+            "given": numbers(np.where(heard & about["reports_force"], row["drive_force"], np.nan), 3),
             "share": numbers(row["tau"] / limit, 4),
             "e": numbers(1e3 * (row["q_d"] - row["q"]), 4) if led else [None] * 6,
             "state": [_name("drive_state", x) for x in row["drive_state"]],
@@ -129,18 +131,18 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
     }
 
 
-def curves(rows: Rows, rate_Hz: float) -> dict[str, list[Any]]:
-    """Samples of the curves of the live page from kept rows (n,): time, s, and values of each curve."""
+def curves(rows: Rows, about: dict[str, Any]) -> dict[str, list[Any]]:
+    """Curves of the live page from kept rows (n,): time, s, and values. about: as in `state`."""
     led = np.isin(rows["mode"], _FOLLOWS)[:, None]
     unknown = np.full(len(rows), np.nan)  # the worst of a second is of all rows
     found = {
         "tau": rows["tau"],
         "e": np.where(led, 1e3 * (rows["q_d"] - rows["q"]), np.nan),
-        "given": np.where(rows["age"] < NEVER, rows["drive_force"], np.nan),
+        "given": np.where((rows["age"] < NEVER) & about["reports_force"], rows["drive_force"], np.nan),
         "late": np.stack((1e-3 * rows["lateness_ns"], unknown, 1e-3 * rows["compute_ns"]), axis=1),
     }
     shown = {name: [numbers(x, 4) for x in values] for name, values in found.items()}
-    return {"t": numbers(rows["tick"] / rate_Hz, 4)} | shown
+    return {"t": numbers(rows["tick"] / about["rate_Hz"], 4)} | shown
 
 
 def _posed(p: ArrayLike, R: ArrayLike) -> bool:

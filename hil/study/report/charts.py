@@ -110,6 +110,8 @@ def _columns(rows: Rows, follows: Flags, levels: dict[str, Sequence[float]]) -> 
                 unit, factor = f"m{unit}", 1e3
             kind = "dotted" if name in DOTTED and not curve.less else "line"
             values = np.where(where, factor * curve.of(rows), np.nan)
+            if not np.isfinite(values).any() or (name == "drive_force" and not values.any()):
+                continue  # not measured
             hue = curve.part.element if curve.part.column.size > 1 else None
             made = Curve(_label(curve, plot), values, kind, hue)
             by_unit.setdefault(unit, []).append(made)

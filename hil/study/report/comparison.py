@@ -1,47 +1,26 @@
 """Page with two runs side by side: figures, configurations, one column over the other."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array, Rows
-from drivers.signals import Mode
+from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import figure_rows
 from hil.record.figures import figures
-from hil.study.log_columns import seconds
 from hil.study.report.charts import Chart, Curve, columns_over_time
-from hil.study.report.page import Html, drawn, figure, page, table, tag
+from hil.study.report.page import Html, curves, drawn, page, table, tag
+from hil.study.report.run import Run
 
 
-class Side(NamedTuple):
-    """One of the two runs."""
-
-    name: str
-    """File name of its log."""
-    title: str
-    """Kind, configuration, law and rate, as text."""
-    verdict: str
-    """What went wrong; empty for a run without a known failure."""
-    rows: Rows
-    c: Configuration | None
-    rate_Hz: float
-
-    @property
-    def t(self) -> Array:
-        """Time (n,), s, from the first tick in TRACKING, or from the first row."""
-        t = seconds(self.rows)
-        return t - float(t[np.argmax(self.rows["mode"] == Mode.TRACKING)])
-
-
-def comparison(one: Side, other: Side) -> str:
+def comparison(one: Run, other: Run) -> str:
     """HTML text of the page about two runs."""
     t, shown = overlaid(one, other)
-    head = ("", one.name, other.name)
+    head = ("figure", one.name, other.name)
     runs = [
         ("run", one.title, other.title),
-        ("verdict", *(side.verdict or "no fault" for side in (one, other))),
+        ("verdict", one.verdict, other.verdict),
     ]
     body = [
         tag("header", tag("h1", f"{one.name} and {other.name}")),
@@ -50,14 +29,11 @@ def comparison(one: Side, other: Side) -> str:
         tag("section", tag("h2", "Configuration"), *_differences(head, one.c, other.c), id="configuration"),
     ]
     note = f"Solid: {one.name}; dotted: {other.name}. Time 0 is the begin of TRACKING."
-    for n, name in enumerate(dict.fromkeys(chart.section for chart in shown)):
-        curves = (figure(chart, t) for chart in shown if chart.section == name)
-        parts = (tag("h2", name), tag("p", note, class_="note"), tag("div", *curves, class_="curves"))
-        body.append(tag("section", *parts, id=f"curves-{n}"))
+    body += curves(shown, t, note, {})
     return page(f"{one.name} and {other.name}", body, {"charts": drawn(shown, t), "scene": None})
 
 
-def _figures(one: Side, other: Side) -> Iterator[tuple[str, ...]]:
+def _figures(one: Run, other: Run) -> Iterator[tuple[str, ...]]:
     """Figures of both runs, by the path of their names."""
     sides = [dict(_named(figure_rows(figures(side.rows)))) for side in (one, other)]
     for name in dict.fromkeys([*sides[0], *sides[1]]):
@@ -96,7 +72,7 @@ def _flat(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
             yield f"{path}{key}", value
 
 
-def overlaid(one: Side, other: Side) -> tuple[Array, list[Chart]]:
+def overlaid(one: Run, other: Run) -> tuple[Array, list[Chart]]:
     """Time (n,), s, and the charts that both runs have, with the curves of both."""
     first, last = min(one.t[0], other.t[0]), max(one.t[-1], other.t[-1])
     t = first + np.arange(round((last - first) * one.rate_Hz) + 1) / one.rate_Hz
@@ -111,13 +87,13 @@ def overlaid(one: Side, other: Side) -> tuple[Array, list[Chart]]:
     return t, sorted(found, key=lambda chart: list(mine).index(chart.key))
 
 
-def _curves(t: Array, side: Side, chart: Chart) -> list[Curve]:
+def _curves(t: Array, side: Run, chart: Chart) -> list[Curve]:
     """Solid curves of a chart at the times t (n,); references and reported forces are left out."""
     kept = (curve for curve in chart.curves if curve.kind == "line")
     return [c._replace(values=_at(t, side, c.values), hue=k) for k, c in enumerate(kept)]
 
 
-def _at(t: Array, side: Side, values: Array) -> Array:
+def _at(t: Array, side: Run, values: Array) -> Array:
     """Values (m,) of the rows that are nearest to the times t (n,), within a period; NaN elsewhere."""
     own = side.t
     k = np.clip(np.searchsorted(own, t - 0.5 / side.rate_Hz), 0, len(own) - 1)

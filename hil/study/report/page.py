@@ -9,7 +9,7 @@ import hashlib
 import importlib.resources
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -157,6 +157,16 @@ def figure(chart: Chart, t: Array) -> Html:
             rows.append((curve.label, *ends, f"{float(np.sqrt(np.mean(y**2))):.5g}"))
     numbers = tag("details", tag("summary", "Extremes"), table(("curve", "least", "largest", "rms"), rows))
     return tag("figure", caption, place, numbers)
+
+
+def curves(shown: Sequence[Chart], t: Array, note: str, more: Mapping[str, Sequence[Html]]) -> list[Html]:
+    """Sections of a page with charts, in their order; the first has a note, others have more content."""
+    made = []
+    for n, name in enumerate(dict.fromkeys(chart.section for chart in shown)):
+        places = (figure(chart, t) for chart in shown if chart.section == name)
+        parts = (*[tag("p", note, class_="note")] * (n == 0), tag("div", *places, class_="curves"))
+        made.append(tag("section", tag("h2", name), *parts, *more.get(name, ()), id=f"curves-{n}"))
+    return made
 
 
 def thin(t: Array, series: list[Array], bins: int = BINS) -> tuple[Array, list[Array]]:

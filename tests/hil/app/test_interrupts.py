@@ -21,9 +21,9 @@ from hil.record import Recording, child
 from hil.record.log import Log
 
 
-def press():
-    """Send SIGINT to this thread, the only one of a command; the test runner has another one."""
-    signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+def press(number=signal.SIGINT):
+    """Send a signal to this thread, the only one of a command; the test runner has another one."""
+    signal.pthread_kill(threading.get_ident(), number)
 
 
 @pytest.fixture(autouse=True)
@@ -52,8 +52,9 @@ def interrupted_in(monkeypatch, work):
     monkeypatch.setattr(check, "load", lambda *_: work())
 
 
-def test_interrupt_prints_one_line_and_exits_with_130(process, monkeypatch):
-    interrupted_in(monkeypatch, press)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_prints_one_line_and_exits_with_130(process, monkeypatch, number):
+    interrupted_in(monkeypatch, lambda: press(number))
     assert process("check") == (INTERRUPTED, "hil: interrupted\n") == (130, "hil: interrupted\n")
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 

@@ -23,6 +23,7 @@ from tests.browser import Browser, needs_chromium
 from tests.hil.app.test_watch_page import until
 from tests.live_run import Watch
 
+NONE = "none<img src=x onerror='document.title=1'>.mcap"
 pytestmark = pytest.mark.usefixtures("meeting_place")
 
 
@@ -36,7 +37,7 @@ def runs(tmp_path_factory):
     simulate(faulted, log=folder / "bad.mcap", duration_s=3.0, check_replay=False, plant_log=True)
     whole = (folder / "good.mcap").read_bytes()
     (folder / "cut.mcap").write_bytes(whole[: len(whole) // 2])
-    (folder / "none.mcap").write_bytes(b"not a log")
+    (folder / NONE).write_bytes(b"not a log")
     return folder
 
 
@@ -59,7 +60,7 @@ def test_list_of_runs_has_duration_and_peak_error_of_the_ticks(runs):
     [
         ("bad.mcap", "verdict", "ENCODER"),
         ("cut.mcap", "verdict", "cut"),
-        ("none.mcap", "trouble", "not an MCAP"),
+        (NONE, "trouble", "not an MCAP"),
     ],
 )
 def test_list_of_runs_gives_the_reason_for_a_bad_run_and_a_damaged_log(runs, name, key, word):
@@ -70,8 +71,16 @@ def test_list_of_runs_gives_the_reason_for_a_bad_run_and_a_damaged_log(runs, nam
 
 def test_list_of_runs_leaves_out_logs_of_a_plant(runs):
     assert {row["file"] for row in History(runs).runs()["runs"]} == {
-        "good.mcap", "bad.mcap", "cut.mcap", "none.mcap",
+        "good.mcap", "bad.mcap", "cut.mcap", NONE,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("path", ["/runs", "/report?run=good.mcap", "/report?run=..%2Fx.mcap"])
+def test_history_is_refused_without_the_token(runs, path):
+    with Watch("virtual", "--runs", str(runs)) as watch, pytest.raises(urllib.error.HTTPError) as refused:
+        urllib.request.urlopen(f"{watch.base}{path}")
+    assert refused.value.code == HTTPStatus.UNAUTHORIZED
+    refused.value.close()
 
 
 @pytest.mark.parametrize("names", [[], ["../good.mcap"], ["/etc/passwd"], ["good.html"], ["good.mcap"] * 3])
@@ -81,12 +90,8 @@ def test_report_of_a_name_outside_the_folder_is_refused(runs, names):
     assert refused.value.status == HTTPStatus.NOT_FOUND
 
 
-def test_runs_need_the_token_and_a_report_cannot_reach_the_server(runs):
+def test_report_has_an_origin_of_its_own_and_cannot_reach_the_server(runs):
     with Watch("virtual", "--runs", str(runs)) as watch:
-        with pytest.raises(urllib.error.HTTPError) as refused:
-            urllib.request.urlopen(f"{watch.base}/runs")
-        assert refused.value.code == HTTPStatus.UNAUTHORIZED
-        refused.value.close()
         cookie = {"Cookie": f"hil-watch-{watch.port}={watch.token}"}
         with urllib.request.urlopen(urllib.request.Request(f"{watch.base}/runs", headers=cookie)) as answer:
             assert len(json.load(answer)["runs"]) == 4
@@ -107,6 +112,11 @@ def test_live_page_without_a_run_lists_the_logs_and_opens_a_report(runs):
             "[...document.querySelectorAll('#runs tbody tr')].find((r) => r.textContent.includes('bad.mcap'))"
         )
         assert "fault ENCODER" in browser.value(f"{bad}.textContent")
+        assert browser.value("document.querySelectorAll('#runs img').length") == 0, "names are no HTML"
+        cut = bad.replace("bad.mcap", "cut.mcap")
+        assert browser.value(f"[...{cut}.cells].slice(4, 6).map((c) => c.textContent)") == ["–", "–"]
+        assert "–: not in the summary" in browser.value("document.getElementById('history-note').textContent")
+        assert browser.value("getComputedStyle(document.querySelector('.column')).display") == "none"
         browser.go(browser.value(f"{bad}.querySelector('a').href"))
         assert browser.value("document.querySelector('.verdict').className") == "verdict bad"
         until(browser, "document.querySelectorAll('.chart').length === charts.all.length")

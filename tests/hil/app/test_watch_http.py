@@ -285,14 +285,14 @@ SHORTEST, LONGEST, SILENT = 0.75, 2.2, 5
 """Ends of the stroke, m, and ticks after which a leg is silent, in configs/virtual.yaml."""
 
 
-def legs_of(**columns):
+def legs_of(about=ABOUT, **columns):
     """Part of the state that shows the legs, for a row."""
     row = np.zeros((), ROW)
     for name, value in columns.items():
         row[name] = value
     there: Any = row[()]
     figures: Any = np.zeros((), FIGURES)[()]
-    return state(Piece(1, False, there, figures, []), ABOUT, 0)["legs"]
+    return state(Piece(1, False, there, figures, []), about, 0)["legs"]
 
 
 def test_live_page_shows_the_distance_of_a_leg_to_its_nearer_end_in_mm():
@@ -311,3 +311,11 @@ def test_live_page_lists_all_problems_of_a_marked_leg(leg):
     said = set(found.pop(leg).split(", "))
     assert said == {"encoder doubted", "moved on its brake", "drive refuses", "silent", "overforce"}
     assert found == [""] * 5
+
+
+@pytest.mark.parametrize(("name", "reported"), [("virtual", 7.5), ("vcan50", None)])
+def test_live_page_shows_no_reported_force_of_a_drive_that_reports_none(name, reported):
+    c = load(name)
+    assert (c.bus.layout == "classic") is (reported is None)
+    about = run_description(c, Path("runs/x.mcap"), c.loop.rate_Hz, 20.0)
+    assert legs_of(about, drive_force=7.5)["given"] == [reported] * 6

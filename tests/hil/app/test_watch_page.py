@@ -20,11 +20,11 @@ pytestmark = [needs_chromium, pytest.mark.usefixtures("meeting_place")]
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory):
-    """Rows from the start of TRACKING on."""
+    """Rows in TRACKING."""
     path = tmp_path_factory.mktemp("watch") / "good.mcap"
     simulate(load("virtual"), log=path, duration_s=6.0, check_replay=False)
     found = Log.open(path).rows()
-    return found[np.flatnonzero(found["mode"] == Mode.TRACKING)[0] :]
+    return found[found["mode"] == Mode.TRACKING]
 
 
 def until(browser, expression, seconds=60.0):

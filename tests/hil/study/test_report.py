@@ -17,7 +17,7 @@ from hil.app.sim.command import simulate
 from hil.record import Recording
 from hil.record.log import Event, Log
 from hil.record.schema import IDENTITY, SUMMARY
-from hil.study.report import command, sections
+from hil.study.report import run, sections
 from hil.study.report.command import report
 from hil.study.report.page import as_script, prose, tag
 from hil.study.report.story import failure_of
@@ -173,7 +173,7 @@ def test_a_log_of_another_kind_or_version_is_refused_with_advice(
     tmp_path, monkeypatch, options, columns, said
 ):
     log = SimpleNamespace(path="a.mcap", columns=columns, metadata={IDENTITY: options})
-    monkeypatch.setattr(command, "readable", lambda _: SimpleNamespace(log=log))
+    monkeypatch.setattr(run, "readable", lambda _: (log, [], ""))
     with pytest.raises(LogError, match=f"{said}.*; `hil plot` draws its columns$"):
         report(tmp_path / "a.mcap")
 

@@ -151,17 +151,17 @@ const charts = (() => {
     u.setCursor({ left: u.valToPos(time, "x"), top: u.over.clientHeight / 2 }, true, true);
   }
 
+  /* Button of a chart: text, what it does, act. Those that zoom have keys, too. */
+  const ACTIONS = [["+", "zoom in", (u) => zoomBy(u, 0.5)], ["−", "zoom out", (u) => zoomBy(u, 2)], ["All", "show the whole time", () => zoom(begin, end)],
+    ["CSV", "download the numbers in view", (u, chart) => save(new Blob([table(u, chart)], { type: "text/csv" }), fileOf(chart, ".csv"))],
+    ["PNG", "download the picture", (u, chart) => picture(u, chart).toBlob((blob) => save(blob, fileOf(chart, ".png")))]];
+  const KEYS = { "+": 0, "=": 0, "-": 1, 0: 2, Home: 2 };
   function tools(u, chart) {
     const box = element("span", "", "tools");
-    const zooms = u.span ? [] : [["+", "zoom in", () => zoomBy(u, 0.5)], ["−", "zoom out", () => zoomBy(u, 2)], ["All", "show the whole time", () => zoom(begin, end)]];
-    [...zooms, ["CSV", "download the numbers in view", () => save(new Blob([table(u, chart)], { type: "text/csv" }), fileOf(chart, ".csv"))],
-      ["PNG", "download the picture", () => picture(u, chart).toBlob((blob) => save(blob, fileOf(chart, ".png")))]].forEach(([text, label, act]) => {
-      const button = element("button", text);
-      button.type = "button";
-      button.title = label;
-      button.setAttribute("aria-label", text + ": " + label + ", " + chart.title);
-      button.addEventListener("click", act);
-      box.append(button);
+    ACTIONS.slice(u.span ? 3 : 0).forEach(([text, label, act]) => {
+      const button = box.appendChild(element("button", text));
+      Object.assign(button, { type: "button", title: label, ariaLabel: text + ": " + label + ", " + chart.title });
+      button.addEventListener("click", () => act(u, chart));
     });
     return box;
   }
@@ -170,17 +170,12 @@ const charts = (() => {
     let at = null;
     place.addEventListener("keydown", (e) => {
       const { min, max } = u.scales.x, span = max - min;
-      const step = { ArrowLeft: -0.01, ArrowRight: 0.01, PageUp: -0.1, PageDown: 0.1 }[e.key];
-      if (e.target !== place || e.ctrlKey || e.metaKey || e.altKey) return;
-      if (step && e.shiftKey) zoom(min + 10 * step * span, max + 10 * step * span);
-      else if (step) {
-        at = Math.min(max, Math.max(min, (at === null ? min + span / 2 : at) + step * span));
-        showAt(u, at);
-      } else if (e.key === "+" || e.key === "=") zoomBy(u, 0.5);
-      else if (e.key === "-") zoomBy(u, 2);
-      else if (e.key === "0" || e.key === "Home") zoom(begin, end);
-      else return;
+      const step = span * { ArrowLeft: -0.01, ArrowRight: 0.01, PageUp: -0.1, PageDown: 0.1 }[e.key];
+      if (e.target !== place || e.ctrlKey || e.metaKey || e.altKey || !(step || e.key in KEYS)) return;
       e.preventDefault();
+      if (!step) ACTIONS[KEYS[e.key]][2](u);
+      else if (e.shiftKey) zoom(min + 10 * step, max + 10 * step);
+      else showAt(u, at = Math.min(max, Math.max(min, (at === null ? min + span / 2 : at) + step)));
     });
     place.addEventListener("dblclick", () => zoom(begin, end));
   }
@@ -198,12 +193,17 @@ const charts = (() => {
       end = Math.max(end, columns[0][columns[0].length - 1]);
     }
     all.push(u);
+    new ResizeObserver(() => place.clientWidth && u.setSize({ width: place.clientWidth, height: u.height })).observe(place);
     place.plot = u;
     return u;
   }
 
   /* Curves over the last seconds: samples are added one at a time, the oldest are dropped. */
-  function rolling(place, title, unit, labels, span) {
+  function rolling(parent, id, title, unit, labels, span) {
+    const place = Object.assign(element("div", "", "chart"), { id, role: "img", ariaLabel: title + " over time" });
+    const box = parent.appendChild(element("figure")), caption = box.appendChild(element("figcaption"));
+    caption.append(element("span", title + " [" + unit + "]"));
+    box.append(place);
     const chart = { title, unit, levels: [], curves: labels.map((label) => ({ label })) }, most = 55 * span;
     let columns = [[], ...labels.map(() => [])], changed = false;
     const u = make(place, chart, columns, span);
@@ -224,10 +224,6 @@ const charts = (() => {
     };
   }
 
-  window.addEventListener("resize", () => all.forEach((u) => {
-    const width = u.root.parentElement.clientWidth;
-    if (width !== u.width) u.setSize({ width, height: u.height });
-  }));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
     theme.clear();
     all.forEach((u) => u.redraw(false, true));

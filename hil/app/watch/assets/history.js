@@ -7,7 +7,7 @@
   const ticked = () => Array.from(document.querySelectorAll("#runs input:checked"), (box) => box.value);
 
   function line(run) {
-    const row = element("tr"), link = element("a", run.file), box = element("input");
+    const going = run.file === watching.running(), row = element("tr"), link = element("a", run.file), box = element("input");
     link.href = "/report?run=" + encodeURIComponent(run.file);
     link.target = "_blank";
     Object.assign(box, { type: "checkbox", value: run.file });
@@ -15,26 +15,29 @@
     row.append(Object.assign(element("th"), { scope: "row" }));
     row.cells[0].append(run.trouble ? run.file : link);
     const texts = run.trouble ? [run.trouble, "", "", "", "", ""] :
-      [run.verdict, run.configuration, run.law, run.duration_s === null ? "" : run.duration_s.toFixed(1) + " s",
-        run.peak_error_mm === null ? "" : run.peak_error_mm.toPrecision(3) + " mm", run.written];
+      [going ? "running" : run.verdict, run.configuration, run.law, run.duration_s === null ? "–" : run.duration_s.toFixed(1) + " s",
+        run.peak_error_mm === null ? "–" : run.peak_error_mm.toPrecision(3) + " mm", run.written];
     texts.forEach((text, i) => {
-      const cell = element("td", text, i === 0 && !run.good ? "mark" : "");
+      const cell = element("td", text, i === 0 && !run.good && !going ? "mark" : "");
       cell.dataset.label = HEAD[i + 1];
       row.append(cell);
     });
     row.append(element("td"));
+    row.lastChild.dataset.label = "compare";
     if (!run.trouble) row.lastChild.append(box);
     return row;
   }
 
   async function list() {
     at("history-note").textContent = "reading";
+    at("history").hidden = false;
     const answer = await fetch("/runs");
     at("history").hidden = answer.status === 404;
     if (!answer.ok) return void (at("history-note").textContent = (await answer.text()).trim());
     const { folder, runs, more } = await answer.json();
     at("runs").tBodies[0].replaceChildren(...runs.map(line));
-    at("history-note").textContent = runs.length + " logs in " + folder + (more ? ", the newest of " + more : "");
+    at("history-note").textContent = runs.length + " logs in " + folder + (more ? ", the newest of " + more : "") +
+      (runs.some((run) => run.duration_s === null) ? "; –: not in the summary of the log, but in its report" : "");
   }
   at("refresh").addEventListener("click", list);
   at("compare").addEventListener("click", () => {
@@ -44,4 +47,5 @@
   });
   watching.on("may", list);
   watching.on("began", list);
+  watching.on("ended", () => setTimeout(list, 2000));  // the recorder closes the log
 })();

@@ -90,18 +90,12 @@
 
   hold(at("key"), () => ["key"]);
   ["x", "y", "z", "rx", "ry", "rz", "leg0", "leg1", "leg2", "leg3", "leg4", "leg5"].forEach((axis) => {
-    const box = document.createElement("div"), name = document.createElement("span");
-    name.textContent = axis;
-    const buttons = [["−", -1], ["+", 1]].map(([sign, factor]) => {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.className = "held";
-      button.textContent = sign;
-      button.setAttribute("aria-label", "jog " + axis + " " + sign);
+    const box = charts.element("div"), buttons = [["−", -1], ["+", 1]].map(([sign, factor]) => {
+      const button = Object.assign(charts.element("button", sign, "held"), { type: "button", ariaLabel: "jog " + axis + " " + sign });
       hold(button, () => ["key", "jog " + axis + " " + factor * Number(at("fraction").value)]);
       return button;
     });
-    box.append(buttons[0], name, buttons[1]);
+    box.append(buttons[0], charts.element("span", axis), buttons[1]);
     at("jogs").append(box);
   });
 
@@ -118,10 +112,11 @@
     key: (s) => !s.said || s.said.key !== "not needed",
     jog: (s) => s.mode === "TRACKING" && onHold(s),
   };
-  watching.on("state", (s) => document.querySelectorAll("[data-line], #key, #jogs button").forEach((button) => {
-    const does = String(!DOES[button.dataset.line || (button.id === "key" ? "key" : "jog")](s));
-    if (button.getAttribute("aria-disabled") !== does) button.setAttribute("aria-disabled", does);
-  }));
+  const grey = (s) => document.querySelectorAll("[data-line], #key, #jogs button").forEach((button) => {
+    const idle = String(!s || s.ended || !DOES[button.dataset.line || (button.id === "key" ? "key" : "jog")](s));
+    if (button.getAttribute("aria-disabled") !== idle) button.setAttribute("aria-disabled", idle);
+  });
+  ["state", "began"].forEach((name) => watching.on(name, grey));
   watching.on("may", ({ operate, allowed }) => {
     document.querySelectorAll(".operate").forEach((each) => { each.hidden = !operate; });
     at("read-only").hidden = operate || !allowed;

@@ -46,14 +46,7 @@ function makeScene(canvas, given, unpack) {
     if (posed(RRef, k)) hold(placed(joints, pRef, RRef, k));
   }
 
-  function index(time) {
-    let low = 0, high = t.length - 1;
-    while (low < high) {
-      const half = (low + high + 1) >> 1;
-      if (t[half] <= time) low = half; else high = half - 1;
-    }
-    return low;
-  }
+  const index = (time) => Math.max(0, t.findLastIndex((at) => at <= time));
 
   const rgb = (colour, factor, alpha) => "rgba(" + colour.map((c) => Math.round(Math.min(255, c * factor))).join() + "," + (alpha || 1) + ")";
   function forceColour(share) {

@@ -17,7 +17,7 @@ from hil.app.loop_delay import loop_delay, observer_of, stated_delay
 from hil.app.new.derive import wn_rad_s
 from hil.app.output import show_lines
 from hil.app.reachability import span_s
-from hil.app.stability.command import at_home
+from hil.app.stability.command import SPRINGS, at_home
 from hil.app.stability.timing import transport_s
 from hil.config.delay import DelayCompensation
 from hil.config.reference import LiveReference
@@ -29,7 +29,7 @@ from hil.study.compare.laws import changed, desired_loop
 from hil.study.compare.measure import Job, measure
 from hil.study.table import Column, figure, print_rows
 from hil.trajectory.build import build_trajectory
-from plant_fmu.config import StewartPlant
+from plant_fmu.config import BenchPlant, StewartPlant
 
 PHASE_DEG, GAIN_UP = 45.0, 2.0
 """Least phase margin, and least factor on the loop gain, of tuned gains."""
@@ -64,33 +64,45 @@ def delays_of(c: Configuration) -> Delays:
         polled = build_protocol(c.bus, c.drives).traits.command_delay_ticks
         source = "from poll to poll" if polled else "the frames of a tick with worst-case stuffing"
         source += "; `hil identify --delay` measures it"
+    if not delay.lag_s and c.plant is None:
+        source += "; the lag of the drives is unknown"
     return Delays(rounded(1e3 * bus_s), rounded(1e3 * delay.lag_s), rounded(5e2 * delay.period_s), source)
 
 
 def with_gains(c: Configuration, wn: float, zeta: float) -> Configuration:
     """Law of a configuration with the gains for a natural frequency, rad/s, and a damping ratio at home."""
-    law = type(c.controller)
-    derived = law.derived(desired_loop(c)._replace(wn=wn, zeta=zeta))
-    keys = {*law.knob, "damping_ratio"} & derived.keys()
-    return changed(c, {f"controller.{key}": rounded(derived[key], 4) for key in keys})
+    law, loop = c.controller, desired_loop(c)
+    derived = law.derived(loop._replace(wn=wn, zeta=zeta))
+    layers = {key: power for key, power in law.knob.items() if power < 0 or key not in derived}
+    found = {key: derived[key] for key in {*law.knob, "damping_ratio"} & derived.keys() - layers.keys()}
+    found |= {key: old * (wn / loop.wn) ** layers[key] for key in layers if (old := getattr(law, key))}
+    return changed(c, {f"controller.{key}": rounded(value, 4) for key, value in found.items()})
 
 
 def by_rule(c: Configuration) -> Configuration:
     """Configuration with the gains that `hil new` writes: no friction, no prediction, no observer."""
-    law: Any = c.controller
-    found: dict[str, Any] = {f"controller.model.{key}": 0.0 for key in FRICTION if hasattr(law, "model")}
+    law, found = c.controller, _rotors(c)
+    if getattr(law, "model", None) is not None:
+        found |= {f"controller.model.{key}": 0.0 for key in FRICTION}
     if law.lookahead is not None:
         found["controller.delay_compensation"] = None
     return with_gains(changed(c, found | {"estimation.wrench.source": "none"}), wn_rad_s(c.loop.rate_Hz), 1.0)
 
 
+def _rotors(c: Configuration, more: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Changes that give the law's model the rotor mass of the virtual plant, and more of its keys."""
+    if getattr(c.controller, "model", None) is None or not (
+        c.plant is not None and isinstance(c.plant.model, StewartPlant)
+    ):
+        return {}
+    plant = c.plant.model
+    return {f"controller.model.{key}": getattr(plant, key) for key in ("reflected_mass_kg", *more)}
+
+
 def informed(c: Configuration, delays: Delays) -> Configuration:
     """Configuration whose law knows friction and rotors of the virtual plant, and the delays of the loop."""
-    law, found = c.controller, dict[str, Any]()
+    law, found = c.controller, _rotors(c, FRICTION)
     model = getattr(law, "model", None)
-    if model is not None and c.plant is not None and isinstance(c.plant.model, StewartPlant):
-        for key in ("reflected_mass_kg", *FRICTION):
-            found[f"controller.model.{key}"] = getattr(c.plant.model, key)
     if getattr(model, "frozen_at", 0) is None:  # a variant that is not frozen, if any
         found["controller.model.variant"] = "full"
     given = dict(zip(delays._fields[:3], delays[:3], strict=True))
@@ -104,15 +116,16 @@ def informed(c: Configuration, delays: Delays) -> Configuration:
 def figures_of(c: Configuration, delays: Delays, force_N: float = 0.0) -> dict[str, Any]:
     """Figures of a law's loop at home: gains, margins at `delays`, noise, and the error by an unknown force.
 
-    The error is at most the peak gain of the loop times the acceleration of a leg by the force, whatever its
-    course; of a law that does not linearise, that by a constant force.
+    The error is the peak gain of the loop, whatever the course of the force; None if the loop is not stable.
     """
     loop = desired_loop(c)
     try:
         sampled = at_home(c).figures.get("sampled", {})
     except np.linalg.LinAlgError:  # so slow that the errors of its bound reach a singular pose
         sampled = {}
-    per_push_s2 = sampled.get("peak_gain_s2", loop.wn**-2)
+    per_force, per_push_s2 = sampled.get("peak_m_N"), sampled.get("peak_gain_s2")
+    if per_push_s2 is not None:
+        per_force = per_push_s2 * _leg_push(c)
     margin, later_ms = sampled.get("delay_margin_ms"), 1e3 * loop_delay(c).transport_s - delays.bus_ms
     return {
         "wn_rad_s": loop.wn,
@@ -122,8 +135,8 @@ def figures_of(c: Configuration, delays: Delays, force_N: float = 0.0) -> dict[s
         "phase_margin_deg": sampled.get("phase_margin_deg"),
         "gain_margin": sampled.get("gain_margin"),
         "force_noise_N": _noise_N(c, loop),
-        "error_per_disturbance_s2": per_push_s2,
-        "disturbed_error_mm": 1e3 * per_push_s2 * force_N * _leg_push(c),
+        "error_per_force_m_N": per_force,
+        "disturbed_error_mm": None if per_force is None else 1e3 * per_force * force_N,
     }
 
 
@@ -174,7 +187,7 @@ def fastest(
         if share is not None:
             tried = changed(tried, {"estimation.wrench.bandwidth_Hz": rounded(share * wn / (2.0 * pi))})
         figures = figures_of(tried, delays)
-        return tried, figures["error_per_disturbance_s2"], list(violations(c, figures, delay_margin_ms))
+        return tried, figures["error_per_force_m_N"], list(violations(c, figures, delay_margin_ms))
 
     low, high = SLOWEST * wn_rad_s(c.loop.rate_Hz), 1e3 / sum(delays[:3])
     best, limit = at(low), ["natural frequency above 1 / delay"]
@@ -199,8 +212,7 @@ def tune(
     """
     c = unattended(c).model_copy(update={"feedforward": None})  # learned with other gains
     law = c.controller.law
-    if not c.controller.knob:
-        raise ConfigurationError(f"{c.source}: controller: law {law} has fixed gains; see `hil design`")
+    _refuse(c)
     delays, rule = delays_of(c), by_rule(c)
     weight_N = c.platform.platform.mass_kg * float(np.linalg.norm(c.platform.gravity_m_s2))
     force = LOAD_SHARE * weight_N if force_N is None else force_N
@@ -221,7 +233,7 @@ def tune(
     rows = {"as configured": c, RULE: rule, "tuned": tuned}
     runs = simulated(rows)
     return {
-        "success": True,
+        "success": not runs.get("tuned", {}).get("fault"),
         "kind": "tune",
         "configuration": c.source,
         "law": law,
@@ -232,6 +244,22 @@ def tune(
         "limit": limit,
         "block": block,
     }
+
+
+def _refuse(c: Configuration) -> None:
+    """Raise ConfigurationError if the law or the plant has no gains that can be tuned here."""
+    if c.plant is not None and isinstance(c.plant.model, BenchPlant):
+        raise ConfigurationError(
+            f"{c.source}: plant.model: uncoupled legs, not the robot of section platform"
+        )
+    law = c.controller.law
+    if law == "state_space":
+        raise ConfigurationError(f"{c.source}: controller: law {law} has fixed gains; see `hil design`")
+    if not c.controller.knob or (isinstance(c.controller.error_dynamics(), str) and law not in SPRINGS):
+        raise ConfigurationError(
+            f"{c.source}: controller: the loop of law {law} is unknown; its settings need `knob`, `derived`, "
+            "`bandwidth` and `error_dynamics`: see docs/guides/own-laws.md"
+        )
 
 
 def block_of(c: Configuration) -> dict[str, Any]:
@@ -292,7 +320,9 @@ def show(summary: dict[str, Any]) -> None:
         f"delays  bus {d['bus_ms']:g}, lag {d['drive_lag_ms']:g}, hold {d['hold_ms']:g} ms: {d['source']}",
         f"limit   faster gains have a {'; '.join(summary['limit'])}",
     ]
-    if peak := tuned.get("peak_true_leg_error_mm"):
+    if fault := tuned.get("fault"):
+        lines.append(f"fault   {fault} with the tuned gains on the path, in simulation: do not use them")
+    elif (peak := tuned.get("peak_true_leg_error_mm")) and not rule["fault"]:
         ratio = rule["peak_true_leg_error_mm"] / peak
         lines.append(f"peak    {ratio:.3g} times smaller than with {RULE}, in simulation, against the plant")
     show_lines(["", *lines, "", *text_of(summary["block"]).splitlines()])

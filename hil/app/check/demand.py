@@ -11,8 +11,9 @@ from drivers.files import read_regular
 from hil.app.compose import build_admission
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, read_feedforward
-from hil.app.derive_encoder_limits import AWAY, efficiencies, friction_N, stated_friction_N
+from hil.app.derive_encoder_limits import believed_mass_kg, efficiencies, friction_N, stated_friction_N
 from hil.app.reachability import Walk, drive_forces, window_swing
+from hil.app.unknown_payload import unknown_payload
 from hil.config.feedforward import FeedforwardHead
 from hil.loop.jogging import jog_path, setup_share
 from hil.robot.dynamics import Model
@@ -151,7 +152,8 @@ def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
     """
     if limits.watched_legs == 0:
         return None
-    A, late_s = np.diag(limits.mobility) / AWAY, limits.acting_ticks * limits.period_s
+    yields = unknown_payload(c, believed_mass_kg(c)).mobility.max(axis=0)  # rotors included, as in the push
+    A, late_s = np.diag(yields), limits.acting_ticks * limits.period_s
     following_m = c.limits.following_error_m
     beside_m = max(sqrt(following_m) - sqrt(2.0 * MOVED * limits.length_noise_m), 0.0)
     ticks = ceil(WINDOW_S / (w.t[1] - w.t[0])) if len(w.t) > 1 else 1

@@ -56,33 +56,32 @@ class MovingMass(Figure):
         return super().convert(value, param, ctx)
 
 
-def moments(text: str) -> str | list[float]:
-    """Parse three moments of inertia > 0, kg m^2, with commas, or `estimate`. Raises click.BadParameter."""
-    if text == ESTIMATE:
+def _three(
+    text: str, words: tuple[str, ...], allowed: str, within: Callable[[list[float]], bool]
+) -> str | list[float]:
+    """A word of `words`, or three finite numbers with commas. Raises click.BadParameter."""
+    if text in words:
         return text
     try:
         found = [rounded(float(word), DIGITS) for word in text.split(",")]
     except ValueError:
         found = []
-    if len(found) != 3 or not all(isfinite(each) and each > 0.0 for each in found):
-        raise click.BadParameter(f"allowed: three numbers above 0 with commas, or {ESTIMATE}, given: {text}")
+    if len(found) != 3 or not all(map(isfinite, found)) or not within(found):
+        raise click.BadParameter(f"allowed: {allowed}, given: {text}")
     return found
+
+
+def moments(text: str) -> str | list[float]:
+    """Parse three moments of inertia > 0, kg m^2, with commas, or `estimate`. Raises click.BadParameter."""
+    allowed = f"three numbers above 0 with commas, or {ESTIMATE}"
+    return _three(text, (ESTIMATE,), allowed, lambda I: min(I) > 0.0)
 
 
 def mounting(text: str) -> str | list[float]:
     """A word of MOUNTINGS, or gravity (3,) m/s^2, base frame. Raises click.BadParameter for other text."""
-    if text in MOUNTINGS:
-        return text
-    try:
-        found = [rounded(float(word), DIGITS) for word in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) != 3 or not hypot(*found) <= STRONGEST_m_s2:
-        allowed = (
-            f"{', '.join(MOUNTINGS)}, or gravity as three numbers with commas, up to {STRONGEST_m_s2:g} m/s^2"
-        )
-        raise click.BadParameter(f"allowed: {allowed}, given: {text}")
-    return found
+    most = f"or gravity as three numbers with commas, up to {STRONGEST_m_s2:g} m/s^2"
+    allowed = f"{', '.join(MOUNTINGS)}, {most}"
+    return _three(text, tuple(MOUNTINGS), allowed, lambda g: hypot(*g) <= STRONGEST_m_s2)
 
 
 class Question(NamedTuple):

@@ -16,7 +16,7 @@ from drivers.mit.fields import TURN
 from drivers.sensing.settings import SensorSettings
 from drivers.signals import LEGS
 from hil.app.configuration.bus_budget import bus_budgets
-from hil.app.derive_encoder_limits import PUSH
+from hil.app.derive_encoder_limits import PUSH, REACHES_BACK
 from hil.app.new import drives
 from hil.app.new.robot import Answers, AtHome, platform_settings, platform_values, robot_at_home
 from hil.app.new.template import settings
@@ -27,6 +27,7 @@ from hil.config.reference import SinusoidReference
 from hil.config.running import OperatorSettings
 from hil.mathematics.rounding import lowered, raised, rounded
 from hil.safety.guard import WINDOW_S
+from hil.safety.residuals import MOVED
 from hil.trajectory.build import build_trajectory
 
 RATES_Hz = (1000.0, 500.0, 400.0, 312.5, 250.0, 200.0, 100.0)
@@ -216,6 +217,17 @@ def steps(a: Answers, rate_Hz: float) -> tuple[float, float]:
     return max(float(read.length.max()), float(a["encoder_resolution_m"])), float(read.rate.max())
 
 
+def free_push_N(a: Answers, home: AtHome) -> float:
+    """Largest probe push, N, that moves a leg without friction by less than limits.following_error_m."""
+    traits = build_protocol(*_frames_of(a, a["rate_Hz"])).traits
+    back = REACHES_BACK * int(traits.resolution.differences)
+    ticks = ceil(2.0 + traits.command_delay_ticks + 5.0 * a["rate_Hz"] / (2.0 * pi * LAG_Hz)) + back
+    P = home.J @ np.linalg.solve(home.model.mass_matrix(*home.pose), home.J.T)
+    seen_m = 4.0 * MOVED * steps(a, a["rate_Hz"])[0]  # twice the resolution, as monitor.length_noise_m
+    beside = max(np.sqrt(0.02 * a["stroke_m"]) - np.sqrt(seen_m), 0.0) * a["rate_Hz"] / ticks
+    return float(beside**2 / np.diag(P).max())
+
+
 def limits(a: Answers, home: AtHome, w: Walk, approach_m_s: float) -> dict[str, Any]:
     """Values of section `limits`: needs of path and approach with a margin, at most the drives' ratings."""
     rate_Hz, stroke = a["rate_Hz"], a["stroke_m"]
@@ -225,7 +237,8 @@ def limits(a: Answers, home: AtHome, w: Walk, approach_m_s: float) -> dict[str, 
     if friction > 0.0:  # room for the probe push on a leg at rest: friction, and a share of the disturbance
         least = most + 2.2 * friction
         force = max(force, least, min(MOST_FORCE * most, least + moved * allowed))
-        allowed = lowered(min(allowed, max(0.1, (min(a["drive_force_N"], force) - least) / moved)))
+        spare = min(min(a["drive_force_N"], force) - least, free_push_N(a, home) - 2.2 * friction)
+        allowed = lowered(min(allowed, max(0.1, spare / moved)))
         push = 2.2 * friction + moved * allowed
     force = min(a["drive_force_N"], raised(force))
     needed = max(float(np.abs(w.dq).max()), 1.875 * approach_m_s)

@@ -120,7 +120,7 @@ def _judge(subject: Subject, law: SpringSettings) -> Assessment:
     found = found._replace(observer=subject.observer if online else None)
     sag = leg_lengths(subject.platform, p, R) - leg_lengths(subject.platform, start.p, start.R)
     sag_mm = 1e3 * float(np.abs(sag).max())
-    lines, figures, radius = sampled_loop(subject, found)
+    lines, figures, radius = sampled_loop(subject, found, jacobian(subject.platform, p, R))
     met = subject.outside(p, R)
     not_proven = None if met is None else f"it comes to rest outside its limits: {met}"
     grows = None if radius < 1.0 else unstable(subject, radius)
@@ -205,15 +205,20 @@ def law_forces(subject: Subject, law: SpringSettings) -> Forces:
     return tau
 
 
-def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str, Any], float]:
-    """The sampled loop as lines of text and figures, and its largest |z|."""
+def sampled_loop(
+    subject: Subject, found: Springs, J: Array | None = None
+) -> tuple[list[str], dict[str, Any], float]:
+    """The sampled loop as lines of text and figures, and its largest |z|; J: Jacobian of the leg lengths."""
     radius = found.growth(subject.axis)
     figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
     line = f"sampled loop   largest |z| {radius:.4f} where it comes to rest, all axes together"
     if radius < 1.0 and (margins := found.margins(subject.axis)) is not None:
-        margin, crossover = margins
+        margin, crossover, phase = margins
         figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
         figures["sampled"]["cross_over_rad_s"] = crossover
+        figures["sampled"]["phase_margin_deg"] = phase if isfinite(phase) else None
+        figures["sampled"]["gain_margin"] = found.gain_up(subject.axis)
+        figures["sampled"]["peak_m_N"] = None if J is None else found.per_force(subject.axis, J)
         line += f"; alone it bears {1e3 * margin:.3g} ms more delay; crosses over at {crossover:.0f} rad/s"
     return [line], figures, radius
 

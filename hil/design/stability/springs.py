@@ -20,7 +20,7 @@ For a reference at rest a pose where dS = 0 and d^2 S is positive definite is as
 """
 
 from collections.abc import Callable
-from math import pi
+from math import ceil, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ import numpy as np
 from drivers.arrays import ZERO6, Array, ComplexArray
 from drivers.errors import ModelError
 from hil.design.stability.observed_loop import Observer, observed
-from hil.design.stability.sampled_loop import Axis, crossings, sampled_axis
+from hil.design.stability.sampled_loop import Axis, crossings, root, sampled_axis
 from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot import dynamics_kernels as kernels
@@ -89,10 +89,40 @@ class Springs(NamedTuple):
         law, robot = self.loop(axis)
         return float(np.abs(robot._replace(C=-robot.C).closed_with(law).poles()).max())
 
-    def margins(self, axis: Axis) -> tuple[float, float] | None:
-        """Additional delay of all axes at which a stable loop becomes unstable, s, inf: none; and crossover.
+    def gain_up(self, axis: Axis) -> float:
+        """Factor on all gains of the law, up to 1000, at which a stable loop becomes unstable."""
 
-        The crossover, rad/s, is the highest frequency at which a locus below has magnitude 1.
+        def grown(power: float) -> float:
+            k = 10.0**power
+            scaled = (k * each for each in (self.law, self.damping, self.integral))
+            return (
+                self._replace(**dict(zip(("law", "damping", "integral"), scaled, strict=True))).growth(axis)
+                - 1.0
+            )
+
+        return float(10.0 ** root(grown, 0.0, 3.0))
+
+    def per_force(self, axis: Axis, J: Array) -> float:
+        """Largest leg error per force on the platform, m/N, for any course and direction of the force.
+
+        J (6, 6): Jacobian of the leg lengths. The force is held for each period.
+        """
+        law, robot = self.loop(axis)
+        T, size = axis.period_s, 12
+        A = robot._replace(C=-robot.C).closed_with(law).A
+        x, error = np.zeros((len(A), 3)), np.zeros(6)
+        x[:6], x[6:size] = T * T / 2.0 * self.mobility[:, :3], T * self.mobility[:, :3]
+        slowest = -np.log(float(np.abs(np.linalg.eigvals(A)).max()))
+        for _ in range(min(20_000, ceil(12.0 / slowest) + len(A))):
+            error += np.linalg.norm(J @ x[:6], axis=1)
+            x = A @ x
+        return float(error.max())
+
+    def margins(self, axis: Axis) -> tuple[float, float, float] | None:
+        """Margins of a stable loop for a change of all axes: delay, s; crossover, rad/s; phase, deg.
+
+        An additional delay or phase beyond them makes the loop unstable; inf: none does. The crossover is the
+        highest frequency at which a locus below has magnitude 1.
 
         A common delay turns all eigenvalues of the loop's frequency response by the same angle. The smallest
         margin of these characteristic loci is the loop's (A. G. J. MacFarlane and I. Postlethwaite, 1977).
@@ -114,8 +144,10 @@ class Springs(NamedTuple):
         grid = np.geomspace(1e-4, 1.0, 1500) * top
         near = np.sort(np.concatenate([grid, peaks * (1.0 - 1e-7), peaks * (1.0 + 1e-7)]))  # narrow peaks
         met = list(crossings(loci, near))
-        return min((left / omega for omega, left in met), default=np.inf), max(
-            (w for w, _ in met), default=0.0
+        return (
+            min((left / omega for omega, left in met), default=np.inf),
+            max((w for w, _ in met), default=0.0),
+            float(np.degrees(min((min(left, 2.0 * pi - left) for _, left in met), default=np.inf))),
         )
 
 

@@ -38,7 +38,10 @@ def desired_loop(c: Configuration) -> DesiredLoop:
     platform = build_platform(c.platform)
     p, R = pose_arrays(c.platform.home)
     J = jacobian(platform, p, R)
-    reflected = _model(c).reflected_mass_kg
+    known: Any = _model(c)  # of a law without a model the robot has the rotors of the plant
+    if c.controller.believed is None and c.plant is not None and isinstance(c.plant.model, StewartPlant):
+        known = c.plant.model
+    reflected = known.reflected_mass_kg
     M = Model(platform, leg_spin=c.platform.leg_spin, reflected_mass=reflected).mass_matrix(p, R)
     leg_mass = _largest(np.linalg.solve(J.T, np.linalg.solve(J.T, M).T))
     mass = _largest(M[:3, :3])

@@ -324,6 +324,19 @@ def test_stated_friction_is_compensated_and_is_in_the_plant(tmp_path):
     assert not any("force_N" in warning for warning in inspect(c).warnings)
 
 
+SLOW = [["--rate", "50"], ["--rate", "100"], ["--drives", "odrive", "--travel", "0.05"]]
+
+
+@pytest.mark.parametrize("more", broad(SLOW, quick=1))
+def test_robot_with_friction_and_rotors_is_valid_at_a_low_rate(more, tmp_path):
+    robot = (
+        "--base-radius 0.3 --platform-radius 0.2 --length-min 0.35 --stroke 0.15 --mass 20 --leg-mass 1.5 "
+        "--drive-force 300 --drive-speed 0.4 --reflected-mass 5e-5@0.005 --coulomb-friction 6"
+    )
+    done = new(tmp_path / "r.yaml", robot, *more)
+    assert done.exit_code == 0, done.output
+
+
 def test_friction_above_half_of_the_rated_force_is_refused(tmp_path):
     done = new(tmp_path / "r.yaml", ROBOTS["stand"], "--coulomb-friction", "1600")
     assert done.exit_code == 2

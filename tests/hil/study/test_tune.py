@@ -17,9 +17,10 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.simulation import sim
 from hil.cli import main
+from hil.control.law import LawSettings
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from hil.study.tune import RULE, by_rule, delays_of, figures_of, tune
+from hil.study.tune import RULE, by_rule, delays_of, figures_of, tune, with_gains
 from tests.broad import broad
 
 UNWATCHED = {"monitor": {"action": "log"}}
@@ -120,6 +121,54 @@ OTHERS = {
     },
     "pose_inverse_dynamics": {"law": "pose_inverse_dynamics", "wn_rad_s": 20},
 }
+
+
+def test_error_of_a_pd_by_a_force_is_that_of_its_springs():
+    """Static: J^-T F / K_p; a loop without overshoot moves no further."""
+    pd = {"controller": {"law": "pd_gravity", "kp_N_m": 4e4, "kv_N_s_m": 1.5e4}, **UNWATCHED}
+    c = loads(with_changes(load("lab").text, pd), "pd")
+    J = jacobian(build_platform(c.platform), *pose_arrays(c.platform.home))
+    static_mm = 1e3 * 100.0 * np.linalg.norm(np.linalg.inv(J).T[:, :3], axis=1).max() / 4e4
+    assert figures_of(c, delays_of(c), 100.0)["disturbed_error_mm"] == pytest.approx(static_mm, rel=0.1)
+
+
+def test_gains_of_a_law_without_a_model_move_the_rotors_of_the_plant():
+    lab: Any = load("lab")
+    pd = {"controller": {"law": "pd", "kp_N_m": 2e5, "kv_N_s_m": 4e4}, **UNWATCHED}
+    c: Any = with_gains(loads(with_changes(lab.text, pd), "pd"), 20.0, 1.0)
+    platform, home = build_platform(lab.platform), pose_arrays(lab.platform.home)
+    to_legs = np.linalg.inv(jacobian(platform, *home))
+    M = Model(platform, reflected_mass=lab.plant.model.reflected_mass_kg).mass_matrix(*home)
+    heaviest_kg = np.linalg.eigvalsh(to_legs.T @ M @ to_legs).max()
+    assert c.controller.kp_N_m == pytest.approx(heaviest_kg * 20.0**2, rel=1e-3)
+
+
+def test_stated_boundary_layer_becomes_thinner_with_a_faster_law():
+    stated = OTHERS["sliding_mode"] | {"boundary_layer_m_s": 0.4}
+    c = loads(with_changes(load("lab").text, {"controller": stated, **UNWATCHED}), "layer")
+    law: Any = with_gains(c, 40.0, 1.0).controller
+    assert (law.lambda_rad_s, law.boundary_layer_m_s) == (40.0, 0.2)
+
+
+def test_tuned_gains_that_fault_on_the_path_are_no_success():
+    tight = {"limits": {"following_error_m": 2e-4, "following_error_s": 1e-4}, **UNWATCHED}
+    found = tune(loads(with_changes(load("lab").text, tight), "tight"))
+    assert "FOLLOWING" in found["gains"]["tuned"]["fault"]
+    assert not found["success"]
+
+
+def test_uncoupled_legs_on_springs_are_refused():
+    with pytest.raises(ConfigurationError, match="uncoupled legs"):
+        tune(load("bench"))
+
+
+def test_own_law_with_unknown_dynamics_is_refused_with_what_it_needs():
+    class Own(LawSettings):
+        knob = {"gain": 2}
+
+    c = load("lab").model_copy(update={"controller": Own(law="own")})
+    with pytest.raises(ConfigurationError, match="error_dynamics"):
+        tune(c)
 
 
 def test_law_with_fixed_gains_is_refused_and_refers_to_hil_design():

@@ -150,6 +150,20 @@ def test_delay_margin_of_coupled_legs_is_the_smallest_over_their_modes():
     assert springs(MOBILITY, 1e6, 2e4).margins(AXIS)[0] == pytest.approx(least, rel=0.01)
 
 
+def test_margins_of_coupled_legs_are_the_smallest_over_their_modes():
+    found = [analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).margins for m in MASSES]
+    coupled = springs(MOBILITY, 1e6, 2e4)
+    assert coupled.margins(AXIS)[2] == pytest.approx(min(m.phase_deg for m in found), rel=0.01)
+    assert coupled.gain_up(AXIS) == pytest.approx(min(m.gain_up for m in found), rel=1e-4)
+
+
+@pytest.mark.parametrize("K_v", [4e3, 2e4])
+def test_error_of_equal_legs_by_a_force_is_that_of_a_single_leg(K_v):
+    found = springs(np.eye(6) / 200.0, 1e5, K_v).per_force(AXIS, np.eye(6))
+    single = analyse(AXIS, gains(1e5 / 200.0, K_v / 200.0, T)).peak_gains()[0] / 200.0
+    assert found == pytest.approx(single, rel=0.01)
+
+
 def test_the_integral_gain_limit_is_that_of_routh_and_hurwitz():
     """m s^3 + K_v s^2 + K_p s + K_i: stable for K_i < K_p K_v / m; a period of 0.1 ms is nearly continuous."""
     m, K_p, K_v, fine = 200.0, 1e5, 1e4, Axis(1e-4)

@@ -217,6 +217,13 @@ def steps(a: Answers, rate_Hz: float) -> tuple[float, float]:
     return max(float(read.length.max()), float(a["encoder_resolution_m"])), float(read.rate.max())
 
 
+def following_m(a: Answers, home: AtHome) -> float:
+    """Following error limit, m: 2 % of the stroke, or 1.5 times the error that dry friction may leave."""
+    P = home.J @ np.linalg.solve(home.model.mass_matrix(*home.pose), home.J.T)
+    stuck = error_m(P, np.full(LEGS, a["coulomb_friction_N"]), wn_rad_s(a["rate_Hz"]) ** 2)
+    return max(rounded(0.02 * a["stroke_m"]), raised(1.5 * stuck) if stuck else 0.0)
+
+
 def free_push_N(a: Answers, home: AtHome) -> float:
     """Largest probe push, N, that moves a leg without friction by less than limits.following_error_m."""
     traits = build_protocol(*_frames_of(a, a["rate_Hz"])).traits
@@ -224,7 +231,7 @@ def free_push_N(a: Answers, home: AtHome) -> float:
     ticks = ceil(2.0 + traits.command_delay_ticks + 5.0 * a["rate_Hz"] / (2.0 * pi * LAG_Hz)) + back
     P = home.J @ np.linalg.solve(home.model.mass_matrix(*home.pose), home.J.T)
     seen_m = 4.0 * MOVED * steps(a, a["rate_Hz"])[0]  # twice the resolution, as monitor.length_noise_m
-    beside = max(np.sqrt(0.02 * a["stroke_m"]) - np.sqrt(seen_m), 0.0) * a["rate_Hz"] / ticks
+    beside = max(np.sqrt(following_m(a, home)) - np.sqrt(seen_m), 0.0) * a["rate_Hz"] / ticks
     return float(beside**2 / np.diag(P).max())
 
 
@@ -252,6 +259,7 @@ def limits(a: Answers, home: AtHome, w: Walk, approach_m_s: float) -> dict[str, 
         "speed_m_s": min(a["drive_speed_m_s"], raised(2.5 * needed)),
         "deceleration_m_s2": lowered(0.5 * free / home.leg_mass_kg),
         "stroke_margin_m": rounded(0.02 * stroke),
+        "following_error_m": following_m(a, home),
         "standstill_m": raised(max(min(5e-4, 0.01 * stroke), 4 * steps(a, rate_Hz)[0]), 3),
     }
 

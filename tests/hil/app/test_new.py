@@ -337,6 +337,16 @@ def test_robot_with_friction_and_rotors_is_valid_at_a_low_rate(more, tmp_path):
     assert done.exit_code == 0, done.output
 
 
+def test_new_robot_that_sticks_at_a_low_rate_tracks_its_own_path(tmp_path):
+    """At 312.5 Hz the law is soft: the friction leaves more than 2 % of the stroke."""
+    robot = (
+        "--base-radius 0.3 --platform-radius 0.2 --length-min 0.35 --stroke 0.15 --mass 20 --leg-mass 1.5 "
+        "--drive-force 300 --drive-speed 0.4 --coulomb-friction 6 --drives odrive --travel 0.05"
+    )
+    assert new(tmp_path / "r.yaml", robot).exit_code == 0
+    assert simulate(load(tmp_path / "r.yaml"), duration_s=10.0, log=tmp_path / "r.mcap")["success"]
+
+
 def test_friction_above_half_of_the_rated_force_is_refused(tmp_path):
     done = new(tmp_path / "r.yaml", ROBOTS["stand"], "--coulomb-friction", "1600")
     assert done.exit_code == 2

@@ -5,6 +5,7 @@ Layouts and constants follow linux/net_tstamp.h and linux/if.h; sysfs paths foll
 
 import socket
 import struct
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -54,26 +55,16 @@ def echoes(bus: BusSettings) -> bool:
     return bool(int(flags, 16) & IFF_ECHO)
 
 
-class Stamped:
-    """Reads which time stamps the kernel gives to received frames. State: a raw socket; close it."""
-
-    def __init__(self, channel: str) -> None:
-        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, _WANTED)
-        self._socket.settimeout(0.1)
-        self._socket.bind((channel,))
-
-    def kinds(self) -> list[str]:
-        """Time stamps of the next received frame: `software`, `hardware`; empty without a frame."""
-        with suppress(OSError):
-            _, ancillary, _, _ = self._socket.recvmsg(16, 256)
-            for _, kind, value in ancillary:
-                if kind == _SO_TIMESTAMPING:
-                    words = _THREE.unpack(value[: _THREE.size])
-                    pairs = (("software", words[:2]), ("hardware", words[4:]))
-                    return [name for name, pair in pairs if any(pair)]
-        return []
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
+def time_stamps(channel: str, send: Callable[[], object]) -> list[str]:
+    """Time stamps of the kernel, `software`, `hardware`, for a frame that `send` sends to a channel."""
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw, suppress(OSError):
+        raw.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, _WANTED)
+        raw.settimeout(0.1)
+        raw.bind((channel,))
+        send()
+        for _, kind, value in raw.recvmsg(16, 256)[1]:
+            if kind == _SO_TIMESTAMPING:
+                words = _THREE.unpack(value[: _THREE.size])
+                pairs = (("software", words[:2]), ("hardware", words[4:]))
+                return [name for name, pair in pairs if any(pair)]
+    return []

@@ -7,25 +7,21 @@ is listed from LATE_PERIODS of the period on, the lateness from which the loop c
 
 import os
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from drivers.can import netlink
 from drivers.can.can_interface import parse, refusal
-from hil.app.adapter.file import differences, qualifications
+from hil.app.adapter.qualification import qualifications
 from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.configuration.configuration import Configuration
-from hil.app.log_budget import GB, TICK_BYTES
 from hil.loop.clock import LATE_PERIODS, STALL_S
 
 TICK_US = 100.0
 """Processor time of a tick at full clock, us, with room: 20 us are measured on a PC."""
 LOCKED_BYTES = 1 << 30
 """Locked memory that a run may need."""
-RECORDED_S = 3600.0
-"""Time of a run for which the disk should have room, s."""
 _IPC_LOCK, _SYS_NICE = 14, 23
 """Numbers of the capabilities CAP_IPC_LOCK and CAP_SYS_NICE."""
 _CPU = "sys/devices/system/cpu"
@@ -77,8 +73,8 @@ class Machine(NamedTuple):
 
     def cpus(self, path: str) -> set[int]:
         """CPU numbers of a file with a list such as `0,2-3`."""
-        pairs = [each.split("-") for each in self.read(path).split(",") if each]
-        return {n for pair in pairs for n in range(int(pair[0]), int(pair[-1]) + 1)}
+        ranges = re.findall(r"(\d+)(?:-(\d+))?", self.read(path))
+        return {n for first, last in ranges for n in range(int(first), int(last or first) + 1)}
 
     def cpu(self, c: Configuration) -> int:
         """CPU of the loop: loop.cpu, else the last one, which suits it."""
@@ -104,11 +100,10 @@ def _rights(m: Machine, c: Configuration) -> Iterator[Finding]:
 
 def _kernel(m: Machine, _: Configuration) -> Iterator[Finding]:
     version = m.read("proc/version")
-    if m.read("sys/kernel/realtime") != "1" and "PREEMPT_RT" not in version:
+    if version and m.read("sys/kernel/realtime") != "1" and "PREEMPT_RT" not in version:
         package = "linux-image-rpi-v8-rt" if m.pi else "linux-image-rt-amd64"
-        why = "parts of the kernel cannot be interrupted"
-        found = version.split(" (")[0] or "unknown kernel"
-        yield Finding("fix", "kernel", f"no PREEMPT_RT: {found}", why, f"sudo apt install {package}", 500.0)
+        why, found = "parts of the kernel cannot be interrupted", f"no PREEMPT_RT: {version.split(' (')[0]}"
+        yield Finding("fix", "kernel", found, why, f"sudo apt install {package}", 500.0)
     clock = m.read("sys/devices/system/clocksource/clocksource0/current_clocksource")
     if clock in _SLOW_CLOCKS:
         cost = _READS * _SLOW_CLOCKS[clock]
@@ -133,23 +128,19 @@ def _processor(m: Machine, c: Configuration) -> Iterator[Finding]:
         command = f"echo '{rule}' | sudo tee /etc/udev/rules.d/90-hil.rules; then restart"
         found = "/dev/cpu_dma_latency is not writable"
         yield Finding("fix", "C-states", found, why, command, max(exits))
-    siblings = m.cpus(f"{here}/topology/thread_siblings_list") - {cpu}
-    if siblings:
-        other = min(siblings)
-        command = f"echo 0 | sudo tee /{_CPU}/cpu{other}/online"
-        why = "both share one core; a tick may take twice as long"
-        yield Finding("hint", "SMT", f"CPU {cpu} and {other} are threads", why, command, TICK_US)
-    if m.read(f"{_CPU}/intel_pstate/no_turbo") == "0":
-        command = f"echo 1 | sudo tee /{_CPU}/intel_pstate/no_turbo"
-        yield Finding("hint", "turbo", "on", "the clock changes with load and heat", command, 50.0)
 
 
 def _sharing(m: Machine, c: Configuration) -> Iterator[Finding]:
     online, isolated, cpu = m.cpus(f"{_CPU}/online"), m.cpus(f"{_CPU}/isolated"), m.cpu(c)
     rest = ",".join(map(str, sorted(online - {cpu})))
-    if rest and (c.loop.cpu is None or cpu not in isolated):
+    if online and cpu not in online:
+        have = ",".join(map(str, sorted(online)))
+        found, why = f"loop.cpu {cpu} does not exist, allowed: {have}", "the loop runs on any CPU"
+        yield Finding("fix", "CPU", found, why, f"loop.cpu: {max(online)}", 200.0)
+    elif rest and (c.loop.cpu is None or cpu not in isolated):
         file = "/boot/firmware/cmdline.txt" if m.pi else "/etc/default/grub, then sudo update-grub"
-        found = f"isolated: {','.join(map(str, isolated)) or 'none'}; loop.cpu: {c.loop.cpu}"
+        set_to = "not set" if c.loop.cpu is None else c.loop.cpu
+        found = f"isolated CPUs: {','.join(map(str, sorted(isolated))) or 'none'}; loop.cpu {set_to}"
         fix = f"loop.cpu: {cpu}, and isolcpus={cpu} rcu_nocbs={cpu} irqaffinity={rest} in {file}"
         why = "other programs and interrupts share the loop's CPU"
         yield Finding("hint", "CPU", found, why, fix, 200.0)
@@ -181,26 +172,14 @@ def _can(m: Machine, c: Configuration) -> Iterator[Finding]:
             command = f"sudo ip link set {name} txqueuelen {max(32, 2 * frames)}"
             found = f"txqueuelen {length}, a tick has {frames} frames"
             yield Finding("fix", name, found, "a full queue drops commands", command, float("inf"))
-        if known is None:
+        if known is None and not why:
             why = "`hil check` counts no latency of the adapter"
             command = f"hil adapter {c.source}"
             yield Finding("hint", name, "not qualified", why, command, float("inf"))
-    for text in differences(c):
-        yield Finding("hint", "adapter", text, "budgeted with other figures", "hil adapter", float("inf"))
-
-
-def _disk(_: Machine, c: Configuration) -> Iterator[Finding]:
-    folder = Path(c.recording.folder)
-    free = shutil.disk_usage(folder if folder.is_dir() else Path()).free
-    needed = RECORDED_S * c.loop.rate_Hz * TICK_BYTES
-    if free < needed:
-        found = f"{free / GB:.3g} GB free in {folder}"
-        why = f"an hour at {c.loop.rate_Hz:g} Hz may need {needed / GB:.3g} GB"
-        yield Finding("fix", "disk", found, why, "recording.budget_GB, or another folder", float("inf"))
 
 
 CHECKS: tuple[Callable[[Machine, Configuration], Iterator[Finding]], ...] = (
-    _rights, _kernel, _processor, _sharing, _can, _disk,
+    _rights, _kernel, _processor, _sharing, _can,
 )  # fmt: skip
 
 
@@ -214,12 +193,12 @@ def examine(
     machine, late_us = Machine(root, link), 1e6 * LATE_PERIODS / c.loop.rate_Hz
     rows = [each for check in CHECKS for each in check(machine, c) if each.cost_us >= late_us]
     fixes = sum(row.state == "fix" for row in rows)
-    count = f"{fixes} to fix, {len(rows) - fixes} hints" if rows else "nothing to fix"
+    count = f"findings to fix: {fixes}, hints: {len(rows) - fixes}" if rows else "nothing to fix"
     lines = [f"this machine for {c.name} at {c.loop.rate_Hz:g} Hz: {count}"]
     for row in rows:
         lines.append(f"{row.state:<5}{row.subject:<13}{row.found}: {row.why}")
         lines.append(f"     {row.command}")
     if rows:
-        lines.append(f"listed is what may make a tick {late_us:.0f} us late or later, or stops a run")
+        lines.append(f"listed: what can make a tick {late_us:.0f} us late or more, or stop a run")
     findings = [row._asdict() for row in rows]
     return lines, {"success": not fixes, "kind": "doctor", "configuration": c.name, "findings": findings}

@@ -16,12 +16,12 @@ from hil.cli import shared
 def command(configuration: str, channel: str | None, receiver: str | None, duration_s: float) -> None:
     """Measure a CAN interface before it is trusted: latency, loss, queue, time stamps, recovery.
 
-    Sends the frames of a tick at the rate of the loop, with identifiers 0x7C0 to 0x7DF and zeros. Refuses
-    to send, without exception, on a bus that carries frames of others: power the drives off. Frames come back
-    to the same interface, or with --receiver to another one on the bus. Writes adapter-NAME.yaml next to the
-    configuration; `hil check` budgets with it, `hil run` warns of another adapter. A network interface in
-    place of a configuration is measured with the frames and the rate of `socketcan`. Takes the interface
-    down and up once if permitted.
+    Sends the frames of a tick at the rate of the loop, as zeros with identifiers to which no drive listens.
+    Refuses to send, without exception, on a bus that carries frames of others: power the drives off. The
+    frames come back to the same interface, or with --receiver to another one on the bus. Writes
+    adapter-NAME.yaml next to the configuration; `hil check` budgets with it, `hil run` warns of another
+    adapter. A network interface in place of a configuration is measured with the frames and the rate of
+    `socketcan`. Takes the interface down and up once if permitted.
 
     \b
     Examples:
@@ -31,7 +31,7 @@ def command(configuration: str, channel: str | None, receiver: str | None, durat
 
     Guide: docs/guides/adapters.md.
     """
-    from hil.app.adapter.command import of_interface, qualify
+    from hil.app.adapter.measure import of_interface, qualify
 
     there = Path("/sys/class/net", configuration).exists() and not Path(configuration).is_file()
     c = of_interface(configuration) if there else shared.load(configuration)

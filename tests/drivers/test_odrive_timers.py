@@ -14,7 +14,7 @@ from drivers.config import BusSettings, DriveSettings
 from drivers.frame_array import received_array, sent_array
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
-from hil.app.adapter.budget import answered_ns
+from hil.app.adapter.qualification import answered_ns
 from hil.app.configuration.bus_budget import timed_feedbacks
 from hil.app.derive_encoder_limits import encoder_limits
 from hil.contracts.loopback import BEAT_TICKS, FORCE, OFF, PERIOD_NS, READY, RESET, SETUP, Ends, Line, at_tick

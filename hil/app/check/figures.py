@@ -6,8 +6,7 @@ import numpy as np
 
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
-from hil.app.adapter.budget import judge
-from hil.app.adapter.file import differences, qualifications
+from hil.app.adapter.qualification import differences, judge, qualifications
 from hil.app.check.report import Report
 from hil.app.check.subject import carried, controlled_stop_m, refused
 from hil.app.compose import build_nodes
@@ -93,8 +92,8 @@ def bus(r: Report) -> None:
         r.add(
             title,
             """
-            adapter {q.adapter}, measured {q.date}: {q.latency_us:.0f} us, jitter {q.jitter_us:.0f} us,
-            SYNC to last feedback {adapter_us:.0f} us with it; {q.lost} of {q.sent} frames lost
+            adapter {q.adapter}, measured {q.date}: {q.lost} of {q.sent} frames lost
+            SYNC to last feedback {adapter_us:.0f} us with its longest latency, {q.longest_us:.0f} us
             """,
             found[index],
             q=q,

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError
 from drivers.family import Family
-from hil.app.adapter.budget import answered_ns
+from hil.app.adapter.qualification import answered_ns
 from hil.app.check.demand import (
     JogDemand,
     Learned,

@@ -16,7 +16,7 @@ from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.errors import RunError
 from drivers.signals import Fault, Mode
-from hil.app.adapter.file import differences
+from hil.app.adapter.qualification import differences
 from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_names, loads, shortest_answer_ns
 from hil.app.configuration.configuration import Configuration

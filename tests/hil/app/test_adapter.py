@@ -4,37 +4,58 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from drivers.arrays import Rows
+from drivers.can import netlink
 from drivers.can.adapter import identity
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming
 from drivers.can.link import Link
-from drivers.errors import ConfigurationError, RunError
+from drivers.errors import ConfigurationError, LogError, RunError
 from drivers.frame_array import received_array, sent_frames
-from drivers.protocol import BRS, FD, Frame, Received
+from drivers.protocol import BRS, EXTENDED, Frame, Received
 from hil.app.adapter import measure
-from hil.app.adapter.budget import judge, stale_every_s
-from hil.app.adapter.command import qualify
-from hil.app.adapter.file import VERSION, Qualification, write_qualification
+from hil.app.adapter.measure import of_interface, qualify
+from hil.app.adapter.qualification import VERSION, Qualification, judge, stale_every_s
 from hil.app.check.command import inspect
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.section_file import write_section
 from hil.cli import main
 from tests.drivers.fake_links import ManualClock
+from tests.hil.app.test_doctor import link
+from tools.drive_families import FAMILIES as FAMILY_CHANGES
 
 QUIET = lambda *_: None  # noqa: E731
 
 
+ROOT = Path(__file__).parents[3]
+LEGS_LISTEN = {0x001, 0x080, 0x100, 0x101, 0x110, 0x111, 0x120, *range(0x601, 0x607)}
+RMD: dict[str, Any] = {
+    "drives": {
+        "protocol": "dbc",
+        "watchdog_ms": 25,
+        "options": {
+            "variant": None, "model": None, "dbc": "rmd.dbc", "position": "Answer.Angle", "velocity": "Speed",
+            "current": "Answer.Current", "command": "TorqueCurrent", "torque_constant_Nm_A": 2.0,
+            "poll": "9c00000000000000", "disable": "8100000000000000",
+        },
+    },
+    "loop": {"rate_Hz": 200},
+}  # fmt: skip
+
+
 class SlowLink(Link):
-    """A link to a peer: frames arrive after a random delay, or are lost. State: frames under way, losses."""
+    """A link to a peer: frames arrive after a random delay, or are lost. State: frames, losses."""
 
     virtual = True
 
@@ -42,11 +63,12 @@ class SlowLink(Link):
         self, clock: ManualClock, delay_us: tuple[float, float] = (0.0, 0.0), loss: float = 0.0, seed: int = 1
     ):
         self.clock, self._delay_us, self._loss = clock, delay_us, loss
-        self._chance = random.Random(seed)
+        self._chance, self.given = random.Random(seed), list[Frame]()
         self.peer, self.under_way, self.lost, self.sent, self.room = self, list[Received](), 0, 0, 10_000
 
     def send(self, frames: Rows) -> int:
         given = sent_frames(frames)[: self.room]
+        self.given += given
         for frame in given:
             delay_ns = round(1e3 * self._chance.uniform(*self._delay_us))
             if self._chance.random() < self._loss:
@@ -98,9 +120,49 @@ def test_every_lost_frame_of_both_directions_is_counted():
 def test_queue_depth_is_the_number_of_frames_accepted_at_once():
     near, far, link, _ = ends()
     link.room = 10
-    assert measure.queue_depth(near, far) == (10, True)
+    assert measure.queue_depth(near, far) == 10
     link.room = 1000
-    assert measure.queue_depth(near, far) == (128, False)
+    assert measure.queue_depth(near, far) == 128
+
+
+def test_frames_of_others_stop_the_last_measurements_too():
+    near, far, link, _ = ends()
+    link.peer.under_way.append(Received(50_000_000, Frame(0x181, bytes(8))))
+    with pytest.raises(RunError, match="0x181"):
+        measure.loss_at_rate(near, far, measure.frames_of([]), measure.frames_of([]), 500.0, 1, QUIET)
+    link.peer.under_way.append(Received(near.clock.now(), Frame(0x182, bytes(8))))
+    with pytest.raises(RunError, match="0x182"):
+        measure.queue_depth(near, far)
+
+
+def test_bus_without_an_answer_is_left_after_some_frames():
+    near, far, link, _ = ends(loss=1.0)
+    assert len(measure.latencies_us(near, far, BitTiming(1_000_000, 5_000_000), QUIET)) == 0
+    assert link.sent <= 100
+
+
+def test_interface_is_up_after_an_interruption_while_it_is_down(monkeypatch):
+    calls = list[bool]()
+
+    def set_up(_: int, *, up: bool) -> None:
+        calls.append(up)
+        if not up:
+            raise KeyboardInterrupt
+
+    near, far, *_ = ends()
+    monkeypatch.setattr(netlink, "administers", lambda: True)
+    monkeypatch.setattr(netlink, "set_up", set_up)
+    with pytest.raises(KeyboardInterrupt):
+        measure.recovery_ms(near, far, "lo")
+    assert calls == [False, True]
+
+
+@pytest.mark.parametrize("bitrate", [1_000_000, 500_000, 250_000, 125_000])
+def test_network_interface_is_measured_at_a_rate_that_its_bit_rate_carries(monkeypatch, bitrate):
+    monkeypatch.setattr(netlink, "get_link", lambda _: link(bitrate, fast=0))
+    c = of_interface("can7")
+    assert (c.bus.channel, c.bus.bitrate_bit_s, c.bus.layout) == ("can7", bitrate, "classic")
+    assert c.loop.rate_Hz == 500.0 * bitrate / 1e6
 
 
 def test_can_fd_passes_only_with_its_bit_rate_switch(monkeypatch):
@@ -135,11 +197,35 @@ def test_measurement_stops_when_others_begin_to_send():
     assert link.sent < 1001
 
 
-def test_measured_frames_are_not_extended_and_carry_zeros():
-    frames = sent_frames(measure.frames_of([(12, FD | BRS | 1)] * 40))
-    assert {frame.id for frame in frames} <= set(range(0x7C0, 0x7E0))
-    assert {frame.flags for frame in frames} == {FD | BRS}
-    assert {frame.data for frame in frames} == {bytes(12)}
+FAMILIES: dict[str, tuple[Mapping[str, Any], Callable[[bool, int], bool]]] = {
+    # protocol: changes of `desktop`, identifiers (flag, number) to which no drive listens, by the maker
+    "legs": (FAMILY_CHANGES["legs, classic"], lambda wide, i: not wide and i not in LEGS_LISTEN),
+    "cia402": (FAMILY_CHANGES["cia402, pdo"], lambda wide, i: not wide and 0x780 <= i not in (0x7E4, 0x7E5)),
+    "mit": (FAMILY_CHANGES["mit, damiao DM4310"], lambda wide, i: not wide and 0x7F < i < 0x7FF),
+    "robstride": (FAMILY_CHANGES["mit, robstride rs-02"], lambda wide, i: wide and i >> 24 == 31),
+    "odrive": (FAMILY_CHANGES["odrive"], lambda wide, i: not wide and i >> 5 == 62),
+    "moteus": (FAMILY_CHANGES["moteus"], lambda wide, i: wide and i >> 16 == 0x1F00),
+    "dbc": (RMD, lambda wide, i: not wide and i not in range(0x141, 0x161)),
+}
+"""legs.dbc; CiA 301 and 305; DM4310 manual; RobStride manual, 4.1; ODrive: node in bits 5 to 10; moteus: prefix
+in bits 16 to 28, can.prefix 0 as shipped; MyActuator: 0x140 + node."""
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_measured_frames_have_identifiers_to_which_no_drive_listens(tmp_path, monkeypatch, family):
+    changes, unheard = FAMILIES[family]
+    near, far, *links = ends()
+    buses = iter((near, far))
+    monkeypatch.setattr(Bus, "open", lambda *_, **__: next(buses))
+    text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
+    (tmp_path / "rmd.dbc").write_text((ROOT / "docs/examples/drives/rmd.dbc").read_text())
+    c = loads(with_changes(text, changes), "my.yaml", tmp_path)
+    _, summary = qualify(c, channel=None, receiver=None, duration_s=0.1, tell=QUIET)
+    assert summary["lost"] == 0
+    ours = [frame for each in links for frame in each.given]
+    assert len(ours) > 1128
+    assert [f for f in ours if not unheard(bool(f.flags & EXTENDED), f.id)] == []
+    assert not any(any(f.data) for f in ours)
 
 
 def on_vcan(folder: Path, interface: str = "socketcan") -> Configuration:
@@ -150,14 +236,18 @@ def on_vcan(folder: Path, interface: str = "socketcan") -> Configuration:
 
 def qualification(**changes: object) -> Qualification:
     fine: dict[str, object] = {
-        "kind": "adapter", "version": VERSION, "date": "2026-01-01T00:00:00+00:00", "interface": "socketcan",
-        "channel": "hilX", "receiver": "hilX", "adapter": "missing", "kernel": "6.1", "rate_Hz": 500.0,
+        "kind": "adapter", "version": VERSION, "date": "2026-01-01T00:00:00+00:00",
+        "channel": "hilX", "received_on": "hilX", "adapter": "missing", "rate_Hz": 500.0,
         "layout": "classic", "bitrate_bit_s": 1_000_000, "data_bitrate_bit_s": 5_000_000, "latency_us": 100.0,
-        "jitter_us": 10.0, "worst_us": 200.0, "sent": 10_000, "lost": 0, "unsent": 0, "queue": 128,
-        "queue_filled": False, "fd": "not used", "stamps": ["software"], "error_frames": 0, "overflows": 0,
-        "restart_ms": 0, "recovery_ms": None,
+        "jitter_us": 10.0, "longest_us": 200.0, "sent": 10_000, "lost": 0, "refused": 0, "queue": 128,
+        "can_fd": "not used", "time_stamps": ["software"], "error_frames": 0, "overflows": 0,
+        "recovery_ms": None,
     }  # fmt: skip
     return Qualification.model_validate(fine | changes)
+
+
+def written(path: Path, found: Qualification) -> None:
+    write_section(path, found, "")
 
 
 @pytest.mark.parametrize(
@@ -186,14 +276,14 @@ WIRE_US = 75 + 6 * 135
 WINDOW_US = 1500
 TABLE: list[tuple[dict[str, object], str, list[str]]] = [
     ({}, "", []),
-    ({"latency_us": WINDOW_US - WIRE_US - 1.0, "worst_us": WINDOW_US - WIRE_US - 0.5}, "", []),
-    ({"worst_us": WINDOW_US - WIRE_US + 1.0}, "", ["late at times"]),
-    ({"latency_us": WINDOW_US - WIRE_US + 1.0, "worst_us": 9000.0}, "too slow", []),
+    ({"latency_us": WINDOW_US - WIRE_US - 1.0, "longest_us": WINDOW_US - WIRE_US - 0.5}, "", []),
+    ({"longest_us": WINDOW_US - WIRE_US + 1.0}, "", ["late at times"]),
+    ({"latency_us": WINDOW_US - WIRE_US + 1.0, "longest_us": 9000.0}, "too slow", []),
     ({"lost": 100}, "", ["loses 1.00%"]),
-    ({"queue": 8, "queue_filled": True}, "", ["accepts 8 frames"]),
-    ({"queue": 9, "queue_filled": True}, "", []),
-    ({"unsent": 1}, "", ["1 were refused"]),
-    ({"fd": "failed"}, "", ["CAN FD"]),
+    ({"queue": 8}, "", ["accepts 8 frames"]),
+    ({"queue": 9}, "", []),
+    ({"refused": 1}, "", ["1 were refused"]),
+    ({"can_fd": "failed"}, "", ["CAN FD"]),
 ]
 
 
@@ -218,15 +308,25 @@ def test_time_between_stale_faults_agrees_with_a_simulation(tmp_path):
     assert stale_every_s(on_vcan(tmp_path), 0.01) == pytest.approx(35 * 60, rel=0.03)
 
 
+def test_one_lost_frame_with_patient_limits_is_a_warning(tmp_path):
+    """6 m^k underflows: no frame is lost often enough for 200 ticks in a row."""
+    changes = {"limits": {"stale_fault_ticks": 200}}
+    c = loads(with_changes(on_vcan(tmp_path).text, changes), "my.yaml", tmp_path)
+    (text,) = judge(c, 0, qualification(lost=1)).warnings
+    assert "STALE" not in text
+    (text,) = judge(on_vcan(tmp_path), 0, qualification(lost=20_000)).warnings  # a damaged file: sent 10,000
+    assert "100.00%" in text
+
+
 @pytest.mark.usefixtures("unproven")
 def test_check_budgets_with_the_qualification_next_to_the_configuration(tmp_path):
     c, file = on_vcan(tmp_path), tmp_path / "adapter-hilX.yaml"
     assert "bus adapter" not in inspect(c).codes
-    write_qualification(file, qualification(worst_us=620.0))
+    written(file, qualification(longest_us=620.0))
     report = inspect(c)
     assert report.codes.count("bus adapter") == 1
     assert report.figures["bus"]["adapter_us"] == WIRE_US + 620.0
-    write_qualification(file, qualification(latency_us=620.0, worst_us=620.0))
+    written(file, qualification(latency_us=620.0, longest_us=620.0))
     with pytest.raises(ConfigurationError, match="too slow"):
         inspect(c)
     file.write_text("kind: adapter\nversion: 1\n")
@@ -236,7 +336,7 @@ def test_check_budgets_with_the_qualification_next_to_the_configuration(tmp_path
 
 @pytest.mark.usefixtures("unproven")
 def test_check_warns_of_another_adapter_or_setting(tmp_path):
-    write_qualification(tmp_path / "adapter-hilX.yaml", qualification(adapter="gs_usb", rate_Hz=100.0))
+    written(tmp_path / "adapter-hilX.yaml", qualification(adapter="gs_usb", rate_Hz=100.0))
     (text,) = [w for w in inspect(on_vcan(tmp_path)).warnings if "hilX" in w]
     assert "adapter is missing, was gs_usb" in text
     assert "loop.rate_Hz is 500, was 100" in text
@@ -245,7 +345,7 @@ def test_check_warns_of_another_adapter_or_setting(tmp_path):
 def test_run_warns_once_of_another_adapter(tmp_path):
     (tmp_path / "my.yaml").write_text(on_vcan(tmp_path).text)
     for adapter, warnings in (("gs_usb", 1), ("missing", 0)):
-        write_qualification(tmp_path / "adapter-hilX.yaml", qualification(adapter=adapter))
+        written(tmp_path / "adapter-hilX.yaml", qualification(adapter=adapter))
         done = CliRunner().invoke(main, ["run", str(tmp_path / "my.yaml"), "--arm"])
         assert done.exit_code == 2
         assert done.output.count("is not as qualified") == warnings
@@ -257,6 +357,24 @@ def test_drive_with_an_identifier_of_the_measurement_is_refused(tmp_path):
     c = loads(with_changes(on_vcan(tmp_path).text, changes), "my.yaml", tmp_path)
     with pytest.raises(ConfigurationError, match="0x7C"):
         qualify(c, channel=None, receiver=None, duration_s=0.01, tell=QUIET)
+
+
+def test_frame_that_clears_a_fault_counts_as_an_identifier_of_its_drive(tmp_path):
+    text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
+    (tmp_path / "rmd.dbc").write_text((ROOT / "docs/examples/drives/rmd.dbc").read_text())
+    options = {"clear": "741#8800000000000000", "dbc_node": 1}
+    changes = {"drives": {"node_ids": [*range(129, 135)], "options": options}}
+    c = loads(with_changes(with_changes(text, RMD), changes), "my.yaml", tmp_path)
+    with pytest.raises(ConfigurationError, match="0x7C1"):
+        qualify(c, channel=None, receiver=None, duration_s=0.01, tell=QUIET)
+
+
+def test_file_of_another_kind_is_not_replaced(tmp_path):
+    file = tmp_path / "adapter-hilX.yaml"
+    file.write_text("my notes")
+    with pytest.raises(LogError, match="not overwritten"):
+        qualify(on_vcan(tmp_path), channel=None, receiver=None, duration_s=0.01, tell=QUIET)
+    assert file.read_text() == "my notes"
 
 
 def test_localcan_is_measured_and_its_file_is_read_back(tmp_path, monkeypatch):

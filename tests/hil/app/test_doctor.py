@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from drivers.can.can_interface import FD_MTU
 from hil.app import doctor
 from hil.app.configuration.changes import with_changes
-from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.configuration import Configuration, load, loads
 from hil.cli import main
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -38,11 +38,9 @@ PC = {
     "sys/devices/system/clocksource/clocksource0/current_clocksource": "hpet\n",
     f"{CPU}/online": "0-3\n",
     f"{CPU}/isolated": "\n",
-    f"{CPU}/intel_pstate/no_turbo": "0\n",
     f"{CPU}/cpu3/cpufreq/scaling_governor": "powersave\n",
     f"{CPU}/cpu3/cpufreq/cpuinfo_min_freq": "400000\n",
     f"{CPU}/cpu3/cpufreq/cpuinfo_max_freq": "3600000\n",
-    f"{CPU}/cpu3/topology/thread_siblings_list": "1,3\n",
     f"{CPU}/cpu3/cpuidle/state0/name": "POLL\n",
     f"{CPU}/cpu3/cpuidle/state0/latency": "0\n",
     f"{CPU}/cpu3/cpuidle/state1/name": "C10\n",
@@ -63,7 +61,6 @@ TUNED = {
     f"{CPU}/cpu3/cpufreq/scaling_governor": "performance\n",
     f"{CPU}/cpu3/cpufreq/cpuinfo_min_freq": "1500000\n",
     f"{CPU}/cpu3/cpufreq/cpuinfo_max_freq": "2400000\n",
-    f"{CPU}/cpu3/topology/thread_siblings_list": "3\n",
     f"{CPU}/cpu3/cpuidle/state0/name": "WFI\n",
     f"{CPU}/cpu3/cpuidle/state0/latency": "1\n",
     "sys/class/net/can0/tx_queue_len": "32\n",
@@ -114,12 +111,11 @@ def found(c: Configuration, root: Path, answer: bytes | None = None) -> dict[str
 def test_untuned_pc_gets_a_command_for_each_finding(tmp_path):
     rows = found(configuration(tmp_path), tree(tmp_path, PC))
     assert list(rows) == [
-        "scheduler", "memlock", "kernel", "governor", "C-states", "SMT", "CPU", "IRQ", "can0",
+        "scheduler", "memlock", "kernel", "governor", "C-states", "CPU", "IRQ", "can0",
     ]  # fmt: skip
     assert "rtprio 90" in rows["scheduler"]
     assert rows["kernel"] == "sudo apt install linux-image-rt-amd64"
     assert rows["IRQ"].startswith("for i in 24; do echo 0,1,2 ")
-    assert "cpu1/online" in rows["SMT"]
     assert "isolcpus=3 rcu_nocbs=3 irqaffinity=0,1,2" in rows["CPU"]
     assert rows["can0"] == "sudo ip link set can0 txqueuelen 32"
 
@@ -147,7 +143,7 @@ def test_tuned_raspberry_pi_has_no_finding(tmp_path):
     [
         ({"proc/self/limits": LIMITS.format(memory="unlimited", priority=79)}, "scheduler", "rtprio"),
         ({"proc/self/limits": LIMITS.format(memory=65536, priority=80)}, "memlock", "memlock unlimited"),
-        ({"sys/kernel/realtime": "0\n"}, "kernel", "linux-image-rpi-v8-rt"),
+        ({"sys/kernel/realtime": "0\n", "proc/version": "Linux version 6.6"}, "kernel", "linux-image-rpi-v8-rt"),
         ({"proc/interrupts": INTERRUPTS}, "IRQ", "/proc/irq/$i"),
         ({f"{CPU}/isolated": "1-2\n"}, "CPU", "/boot/firmware/cmdline.txt"),
         ({f"{CPU}/cpu3/cpufreq/scaling_governor": "ondemand\n"}, "", ""),
@@ -186,13 +182,30 @@ def test_interface_without_qualification_is_a_hint(tmp_path):
     assert summary["success"]
 
 
-def test_full_disk_is_found(tmp_path, monkeypatch):
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=7_100_000_000))
-    root = tree(tmp_path, TUNED)
-    assert "disk" in found(configuration(tmp_path), root)  # 3600 s, 1 kHz, 2 kB a tick: 7.2 GB
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=7_300_000_000))
-    assert "disk" not in found(configuration(tmp_path), root)
+@pytest.mark.parametrize("name", ["virtual", "two_buses", "lab-cia402"])
+def test_machine_without_readable_files_has_no_finding(tmp_path, name):
+    """A container may hide /proc and /sys."""
+    lines, summary = doctor.examine(load(name), tmp_path)
+    assert summary["findings"] == []
+    assert len(lines) == 1
+
+
+def test_missing_interface_is_one_finding(tmp_path):
+    def missing(_: str) -> bytes:
+        raise OSError(19, "No such device")
+
+    _, summary = doctor.examine(configuration(tmp_path), tree(tmp_path, {}), missing)
+    assert [row["found"] for row in summary["findings"]] == ["does not exist"]
+
+
+def test_cpu_of_the_loop_that_does_not_exist_is_found(tmp_path):
+    assert found(configuration(tmp_path, cpu=7), tree(tmp_path, TUNED)) == {"CPU": "loop.cpu: 3"}
+
+
+def test_list_without_cpu_numbers_is_empty(tmp_path):
+    """Some kernels write (null) for no CPU."""
+    rows = found(configuration(tmp_path), tree(tmp_path, TUNED | {f"{CPU}/isolated": "(null)\n"}))
+    assert list(rows) == ["CPU"]
 
 
 def test_command_runs_on_this_machine():

@@ -24,6 +24,8 @@ Errors with attributes of their own are defined where they are raised, the other
 happened, where, what was allowed and what to do.
 """
 
+import sys
+
 
 class HilError(Exception):
     """Base of all errors that a user can cause or fix."""
@@ -75,3 +77,12 @@ class LogError(HilError):
 
 class RunError(HilError):
     """The run ended or could not start: no drives, latched fault, another daemon."""
+
+
+def require_linux(what: str) -> None:
+    """Raise RunError on a system without the calls that real time, buses and child processes need."""
+    if sys.platform != "linux":
+        raise RunError(
+            f"{what} needs Linux, this is {sys.platform}; `hil new`, `check`, `sim`, `replay`, `report`, "
+            "`plot` and `export` do not, nor `hil.Log` and `hil.sim` in Python"
+        )

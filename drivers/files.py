@@ -15,17 +15,22 @@ from pathlib import Path
 
 from drivers.errors import RunError
 
+BINARY = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+"""Flags of every `os.open`: the file is not inherited and, on Windows, not translated."""
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
+"""Flags with which a FIFO opens without a writer; Windows has none."""
 MOST_BYTES = 4 << 20
 """Size limit of a configuration, a controller, a design or a CSV file."""
 
 
 def open_regular(path: Path) -> BufferedReader:
     """Open a file for reading. Raises OSError, also for a FIFO, a socket, a device or a folder."""
-    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY)
+    fd = os.open(path, os.O_RDONLY | BINARY | _AT_ONCE)
     if not stat.S_ISREG(os.fstat(fd).st_mode):
         os.close(fd)
         raise OSError(0, "not a regular file (a folder, pipe, socket or device)", str(path))
-    os.set_blocking(fd, True)
+    if _AT_ONCE:
+        os.set_blocking(fd, True)
     return os.fdopen(fd, "rb")
 
 

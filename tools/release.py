@@ -108,8 +108,9 @@ def build(out: Path) -> Path:
 
 def environment(wheel: Path, folder: Path) -> Path:
     """Install the wheel with its dependencies into an empty environment; return its folder."""
-    run(sys.executable, "-m", "venv", folder / "venv")
-    run(folder / "venv/bin/python", "-m", "pip", "install", "--quiet", wheel, folder=folder, PYTHONPATH="")
+    run(sys.executable, "-m", "venv", "--without-pip", folder / "venv")
+    pip = (sys.executable, "-m", "pip", "--python", folder / "venv/bin/python")
+    run(*pip, "install", "--quiet", wheel, folder=folder, PYTHONPATH="")
     return folder / "venv"
 
 
@@ -117,10 +118,14 @@ def materials(venv: Path, out: Path) -> None:
     """Write the bill of materials (CycloneDX). Raises SystemExit for the GPL, or for no licence."""
     run(sys.executable, "-m", "cyclonedx_py", "environment", "--pyproject", ROOT / "pyproject.toml",
         "--output-reproducible", "--output-file", out, venv / "bin/python")  # fmt: skip
-    for part in json.loads(out.read_text())["components"]:
-        licences = part.get("licenses") or UNSTATED.get(part["name"])
-        if not licences or GPL.search(json.dumps(licences)):
-            sys.exit(f"release: {part['name']}: licence {licences or 'unknown'}, allowed: any but the GPL")
+    bill = json.loads(out.read_text())
+    for part in bill["components"]:
+        if part["name"] in UNSTATED:
+            part.setdefault("licenses", [{"license": {"id": UNSTATED[part["name"]]}}])
+        licences = json.dumps(part.get("licenses", "unknown"))
+        if GPL.search(licences) or "unknown" in licences.lower():
+            sys.exit(f"release: {part['name']}: licence {licences}, allowed: any but the GPL")
+    out.write_text(json.dumps(bill, indent=2) + "\n")
 
 
 def attempt(venv: Path, folder: Path) -> None:

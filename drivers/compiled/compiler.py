@@ -103,7 +103,7 @@ def undisturbed() -> Iterator[None]:
     held: list[int] = []
     handlers: dict[int, Any] = {}
     with suppress(ValueError):  # not the main thread, the only one that runs handlers
-        for number in (signal.SIGINT, signal.SIGALRM):
+        for number in (signal.SIGINT, getattr(signal, "SIGALRM", signal.SIGINT)):  # Windows has none
             if callable(signal.getsignal(number)):
                 handlers[number] = signal.signal(number, lambda given, _: held.append(given))
     try:

@@ -1,8 +1,9 @@
 """`hil --version`: what a bug report needs."""
 
 import hashlib
-from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
 
+import hil
 from drivers.errors import PlantError
 from drivers.files import cache_folder
 from hil.record.environment import environment, product_version, scheduling
@@ -14,7 +15,8 @@ def about(*, verbose: bool) -> list[str]:
     first = f"hil, version {product_version()}"
     if not verbose:
         return [first]
-    facts = environment() | scheduling() | {"fmu": _fmu(), "caches": _caches(), "installed": _installed()}
+    files = {"fmu": _fmu(), "caches": str(cache_folder()), "installed": str(Path(hil.__file__).parents[1])}
+    facts = environment() | scheduling() | files
     return [first, *(f"{key}: {value}" for key, value in facts.items() if key != "version")]
 
 
@@ -22,19 +24,6 @@ def _fmu() -> str:
     if path := shipped("3.0"):
         return f"{path}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()}"
     try:
-        compiler = find_compiler().identity.splitlines()[1]
+        return f"token {token('3.0')}, built with {find_compiler().identity.splitlines()[1]}"
     except PlantError as error:
         return str(error)
-    return f"token {token('3.0')}, built with {compiler}"
-
-
-def _caches() -> str:
-    files = [path.stat().st_size for path in cache_folder().rglob("*") if path.is_file()]
-    return f"{cache_folder()}, {len(files)} files, {sum(files) / 1e6:.1f} MB"
-
-
-def _installed() -> str:
-    try:
-        return str(distribution("hexapod-hil").locate_file(""))
-    except PackageNotFoundError:
-        return "not installed, imported from the sources"

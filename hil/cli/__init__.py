@@ -72,6 +72,21 @@ COMMANDS = {
 Other packages register commands by entry points of the group `hil.commands`.
 """
 
+LINUX = {
+    "run",
+    "plant",
+    "doctor",
+    "adapter",
+    "bringup",
+    "watch",
+    "bus",
+    "ctl",
+    "setpoint",
+    "homing",
+    "identify",
+}
+"""Commands that need a bus, real time, or another process of this machine."""
+
 
 def _foreign() -> dict[str, str]:
     """Name -> line of help, with the origin, of each command that another package registers."""
@@ -90,6 +105,10 @@ class _Table(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         del ctx
         if cmd_name in COMMANDS:
+            if cmd_name in LINUX:
+                from drivers.errors import require_linux
+
+                require_linux(f"hil {cmd_name}")
             command = import_module(f"hil.cli.{cmd_name}").command
         elif cmd_name in _foreign():
             from drivers.registry import loaded

@@ -12,7 +12,7 @@ import click
 
 INTERRUPTED = 128 + signal.SIGINT
 """Exit code that a shell reports for a process ended by SIGINT."""
-BROKEN_PIPE = 128 + signal.SIGPIPE
+BROKEN_PIPE = 141
 """Exit code that a shell reports for a process ended by SIGPIPE, as after `hil check | head -1`."""
 
 

@@ -4,8 +4,8 @@ import contextlib
 import ctypes
 import gc
 import os
-import resource
 import struct
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -105,6 +105,10 @@ def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
     sleep. On exit, policy and priority are restored as far as the permissions allow.
     """
     report = RealTime()
+    if not hasattr(os, "sched_getscheduler"):
+        report.missing.append(f"all of it, which needs Linux and not {sys.platform}")
+        yield report
+        return
     latency = None
     before, scheduling = os.sched_getaffinity(0), _scheduling()
     _attempt(report, "SCHED_FIFO", lambda: _fifo(priority))
@@ -153,12 +157,12 @@ def _fifo(priority: int) -> None:
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
-def _scheduling() -> tuple[int, os.sched_param]:
+def _scheduling() -> "tuple[int, os.sched_param]":
     """Scheduling policy, including its reset-on-fork flag, and its parameters."""
     return os.sched_getscheduler(0), os.sched_getparam(0)
 
 
-def _reschedule(policy: int, parameters: os.sched_param) -> None:
+def _reschedule(policy: int, parameters: "os.sched_param") -> None:
     """Restore the scheduling policy from before `_fifo`, as far as permitted.
 
     An ordinary user may not remove the reset-on-fork flag.
@@ -218,4 +222,6 @@ def late_share(rate_Hz: float, priority: int, seconds: float = 0.5) -> float:
 
 def resident_MB() -> float:
     """Peak resident memory of this process, MB."""
+    import resource  # noqa: PLC0415 - not on Windows
+
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

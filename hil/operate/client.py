@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from drivers.can.runtime_folder import role_holder, runtime_folder, safe_name
-from drivers.errors import RunError
+from drivers.errors import RunError, require_linux
 
 TAKEN = "taken"
 REFUSED = "refused: "
@@ -74,6 +74,7 @@ class OperatorClient:
     """
 
     def __init__(self, interface: str, channel: str) -> None:
+        require_linux("OperatorClient")
         self._where = f"bus {interface}:{channel}"
         self._number = 0
         path = socket_path(interface, channel)

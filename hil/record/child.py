@@ -12,10 +12,15 @@ from typing import IO, Any
 
 from drivers.child_process import start
 from hil.record.ring import Ring
+from hil.record.thread import RecorderThread
+
+RecorderEnd = subprocess.Popen[bytes] | RecorderThread
 
 
-def spawn(ring: Ring) -> subprocess.Popen[bytes]:
-    """Start the recorder process, which inherits the memory of the ring and two pipes."""
+def spawn(ring: Ring) -> RecorderEnd:
+    """Start the recorder: a process, which inherits the memory of the ring and two pipes, or a thread."""
+    if ring.fd < 0:
+        return RecorderThread(ring)
     # Ctrl-C must not end the recorder while it starts: it inherits the mask and clears it when it is ready
     held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, held)
@@ -33,8 +38,11 @@ def spawn(ring: Ring) -> subprocess.Popen[bytes]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def send(process: subprocess.Popen[bytes], message: Mapping[str, Any]) -> None:
-    """Send the recorder process its set-up, or at the end the summary. Raises OSError if it has ended."""
+def send(process: RecorderEnd, message: Mapping[str, Any]) -> None:
+    """Send the recorder its set-up, or at the end the summary. Raises OSError if it has ended."""
+    if isinstance(process, RecorderThread):
+        process.inbox.put(message)
+        return
     assert process.stdin is not None
     process.stdin.write(pickle.dumps(message))
     process.stdin.flush()
@@ -58,8 +66,10 @@ def loaded(name: str, code: bytes) -> Callable[..., int]:
     return call
 
 
-def answer(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, Any]:
-    """Next answer of the recorder process; {} if it has ended, an `error` entry after `timeout_s`."""
+def answer(process: RecorderEnd, timeout_s: float) -> dict[str, Any]:
+    """Next answer of the recorder; {} if it has ended, an `error` entry after `timeout_s`."""
+    if isinstance(process, RecorderThread):
+        return process.answer(timeout_s)
     assert process.stdout is not None
     if not select.select([process.stdout], [], [], timeout_s)[0]:
         return {"error": f"the recorder did not answer within {timeout_s:g} s"}
@@ -75,8 +85,11 @@ def receive(pipe: IO[bytes]) -> dict[str, Any] | None:
     return message
 
 
-def finish(process: subprocess.Popen[bytes]) -> None:
-    """Close the pipes to the recorder process and wait up to 5 s until it has ended."""
+def finish(process: RecorderEnd) -> None:
+    """Close the pipes to the recorder and wait up to 5 s until it has ended."""
+    if isinstance(process, RecorderThread):
+        process.finish()
+        return
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             with contextlib.suppress(OSError):

@@ -21,7 +21,7 @@ PACKAGES = (
     "pydantic",
     "zstandard",
 )
-_POLICIES = {os.SCHED_OTHER: "other", os.SCHED_FIFO: "fifo", os.SCHED_RR: "rr", os.SCHED_BATCH: "batch"}
+_POLICIES = {0: "other", 1: "fifo", 2: "rr", 3: "batch"}
 
 
 def product_version() -> str:
@@ -49,7 +49,9 @@ def environment() -> dict[str, str]:
 
 
 def scheduling() -> dict[str, str]:
-    """Scheduling policy, priority and allowed processors of this process at the time of the call."""
+    """Scheduling policy, priority and allowed processors of this process now; nothing outside of Linux."""
+    if not hasattr(os, "sched_getscheduler"):
+        return {}
     policy = os.sched_getscheduler(0)
     name = _POLICIES.get(policy & ~os.SCHED_RESET_ON_FORK, policy)
     processors = ",".join(map(str, sorted(os.sched_getaffinity(0))))

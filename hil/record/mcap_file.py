@@ -6,7 +6,6 @@ Message and MessageIndex.
 """
 
 import contextlib
-import fcntl
 import os
 import struct
 import zlib
@@ -21,7 +20,12 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
 from drivers.arrays import Ints
-from drivers.files import open_regular
+from drivers.files import BINARY, open_regular
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_SIZE = 256 * 1024
@@ -50,7 +54,9 @@ def record_bytes(record: mcap.McapRecord) -> bytes:
 
 
 def being_written(path: Path) -> bool:
-    """True while a process writes a file; False for a file that cannot be opened or locked."""
+    """True while a process writes a file; False without access or lock, and on Windows."""
+    if fcntl is None:
+        return False
     try:
         with open_regular(path) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -71,9 +77,10 @@ class McapFile:
 
     def __init__(self, path: Path, library: str) -> None:
         self.path = path
-        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-        with contextlib.suppress(OSError):  # a file system without locks
-            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | BINARY, 0o666)
+        if fcntl is not None:
+            with contextlib.suppress(OSError):  # a file system without locks
+                fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.position = 0
         self._crc = 0
         self._summary: dict[type, list[bytes]] = {kind: [] for kind in _SUMMARY}
@@ -155,7 +162,7 @@ class McapFile:
 
     def sync(self) -> None:
         """Flush the written data to the disk."""
-        os.fdatasync(self._fd)
+        getattr(os, "fdatasync", os.fsync)(self._fd)
 
     @property
     def messages(self) -> int:

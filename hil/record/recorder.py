@@ -15,10 +15,10 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -101,7 +101,7 @@ class Recorder:
             self.file.add(Channel(channel_id, topic, "protobuf", metadata, channel_id))
         self.file.sync()
 
-    def run(self, control: _Control) -> None:
+    def run(self, control: Control) -> None:
         """Move ticks from the ring to the log until the producer closes or dies; end the live outputs."""
         try:
             self._drain_while(control)
@@ -111,7 +111,7 @@ class Recorder:
             if self._publisher is not None:
                 self._publisher.close()
 
-    def _drain_while(self, control: _Control) -> None:
+    def _drain_while(self, control: Control) -> None:
         flushed = synced = due = time.monotonic()
         while not control.ended(_LOCKSTEP_POLL_S if self._lockstep else max(0.0, due - time.monotonic())):
             now = time.monotonic()
@@ -216,6 +216,17 @@ def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> 
         return None
 
 
+class Control(Protocol):
+    """End of the producer."""
+
+    @property
+    def summary(self) -> Mapping[str, str] | None:
+        """Its summary, after its end; None if it died."""
+
+    def ended(self, timeout_s: float) -> bool:
+        """Wait up to `timeout_s`; True if the producer has closed the recording or died."""
+
+
 class _Control:
     """Waits for the end of the producer: its summary on a pipe, or its death. State: the summary."""
 
@@ -246,7 +257,7 @@ def answer(message: Mapping[str, object]) -> None:
         os.write(sys.stdout.fileno(), pickle.dumps(message))
 
 
-def _recorded(recorder: Recorder, control: _Control) -> dict[str, object]:
+def _recorded(recorder: Recorder, control: Control) -> dict[str, object]:
     """Record until the producer closes or dies, or the disk is full; return the final reply."""
     try:
         recorder.run(control)
@@ -266,16 +277,30 @@ def main(arguments: list[str]) -> int:
     setup = receive(sys.stdin.buffer)
     if setup is None:
         return 1
+
+    def mapped(run: Run) -> Ring:
+        ring = Ring(ring_fd, Table(run.topic, run.columns).dtype, setup["ring_ticks"])
+        ring.close_fd()
+        return ring
+
+    return record(setup, mapped, lambda: _Control(sys.stdin.buffer, producer), answer)
+
+
+def record(
+    setup: Mapping[str, Any],
+    mapped: Callable[[Run], Ring],
+    watched: Callable[[], Control],
+    say: Callable[[Mapping[str, object]], None],
+) -> int:
+    """Record one log; return the exit code. `mapped` gives the ring, `watched` the end of the producer."""
     file: McapFile | None = None
     try:
         run = Run.of(setup["identity"])
-        ring = Ring(ring_fd, Table(run.topic, run.columns).dtype, setup["ring_ticks"])
-        ring.close_fd()
-        recorder = Recorder(ring, run, setup)
+        recorder = Recorder(mapped(run), run, setup)
         file = recorder.file
-        control = _Control(sys.stdin.buffer, producer)
-        answer({"ready": True})
-        answer(_recorded(recorder, control))
+        control = watched()
+        say({"ready": True})
+        say(_recorded(recorder, control))
         if recorder.socket is not None and not recorder.socket.close():
             os._exit(0)  # the log is closed; a client that does not read would block the exit
     except FileExistsError as error:
@@ -290,5 +315,5 @@ def main(arguments: list[str]) -> int:
         trouble = f"{setup['path']}: {error}"
     else:
         return 0
-    answer({"error": trouble})
+    say({"error": trouble})
     return 1

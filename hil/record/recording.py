@@ -20,7 +20,7 @@ from drivers.clock import MONOTONIC, Clock
 from drivers.errors import LogError
 from drivers.frame_array import FRAME, frame_bytes, received_array, sent_array, sent_at
 from drivers.protocol import Frame, Received
-from hil.record.child import answer, finish, send, spawn
+from hil.record.child import RecorderEnd, answer, finish, send, spawn
 from hil.record.environment import environment, product_version, scheduling
 from hil.record.layout import MAX_DATA
 from hil.record.ring import (
@@ -101,7 +101,7 @@ class Recording:
     State: counters of the ring's write side, the final reply of the recorder.
     """
 
-    def __init__(self, ring: Ring, process: subprocess.Popen[bytes], path: Path, *, lockstep: bool) -> None:
+    def __init__(self, ring: Ring, process: RecorderEnd, path: Path, *, lockstep: bool) -> None:
         self.path = path
         self._ring = ring
         self._process = process
@@ -328,7 +328,7 @@ class Recording:
         self.close()
 
 
-def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
+def _start(ring: Ring, setup: Mapping[str, Any]) -> RecorderEnd:
     """Start the recorder process and wait until its log is open. Raises LogError."""
     process = spawn(ring)
     try:
@@ -342,7 +342,8 @@ def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
         finish(process)
         raise
     if "ready" not in reply:
-        process.kill()
+        if isinstance(process, subprocess.Popen):
+            process.kill()
         finish(process)
         raise LogError(str(reply.get("error", f"{setup['path']}: the recorder process did not start")))
     return process

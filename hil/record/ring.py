@@ -66,7 +66,7 @@ class Batch(NamedTuple):
 
 
 class Ring:
-    """Ring in shared memory: `create` makes a new one, `Ring(fd, ...)` maps an inherited one."""
+    """Ring in shared memory: `create` makes one, `Ring(fd, ...)` maps an inherited one; fd -1: no sharing."""
 
     def __init__(self, fd: int, dtype: np.dtype[np.void], capacity: int) -> None:
         self.fd = fd
@@ -76,10 +76,13 @@ class Ring:
         rows = ends + _aligned(8 * capacity)
         items = rows + _aligned(dtype.itemsize * capacity)
         size = items + FRAME.itemsize * self.item_capacity
-        if os.fstat(fd).st_size < size:
-            os.ftruncate(fd, size)
-        # map all pages now: else each first access in the loop costs a page fault
-        self._map = mmap.mmap(fd, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        if fd < 0:
+            self._map = mmap.mmap(-1, size)
+        else:
+            if os.fstat(fd).st_size < size:
+                os.ftruncate(fd, size)
+            # map all pages now: else each first access in the loop costs a page fault
+            self._map = mmap.mmap(fd, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
         self._view = memoryview(self._map)
         self.counters = self._view[:_HEADER].cast("q")
         self.ends = self._view[ends : ends + 8 * capacity].cast("q")
@@ -91,8 +94,8 @@ class Ring:
 
     @classmethod
     def create(cls, dtype: np.dtype[np.void], capacity: int) -> Ring:
-        """New ring for rows of `dtype`, with room for `capacity` ticks, in an anonymous memory file."""
-        return cls(os.memfd_create("hil-ring"), dtype, capacity)
+        """New ring for rows of `dtype`, with room for `capacity` ticks, in a memory file (Linux)."""
+        return cls(os.memfd_create("hil-ring") if hasattr(os, "memfd_create") else -1, dtype, capacity)
 
     def close_fd(self) -> None:
         """Close the file descriptor; the memory stays mapped."""

@@ -40,6 +40,8 @@ def perform(
     if total is None:
         assert isinstance(work, Sized)
         total = len(work)
+    if not hasattr(os, "sched_getaffinity"):
+        jobs = 1  # the processes of a pool need Linux
     count = min(total, jobs or len(os.sched_getaffinity(0)))
     outcomes: Iterator[Outcome] = map(function, work)
     if jobs != 1:

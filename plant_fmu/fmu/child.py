@@ -6,7 +6,6 @@ change of directory or rounding mode), our process gets a PlantError.
 
 import contextlib
 import os
-import resource
 import select
 import shutil
 import signal
@@ -22,7 +21,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.child_process import start
-from drivers.errors import HilError, PlantError
+from drivers.errors import HilError, PlantError, require_linux
 from plant_fmu.config import FmuPlant
 from plant_fmu.fmu.check import FmuSpec, fmu_spec
 from plant_fmu.fmu.host import FmuHost
@@ -182,7 +181,10 @@ class ChildHost:
 
 def host(spec: FmuSpec) -> Plant:
     """Host an FMU in this process or a child, by `spec.isolation`. Raises PlantError if that fails."""
-    return FmuHost(spec) if spec.isolation == "in_process" else ChildHost(spec)
+    if spec.isolation == "in_process":
+        return FmuHost(spec)
+    require_linux(f"{spec.path}: an FMU in a process of its own (plant.model.isolation)")
+    return ChildHost(spec)
 
 
 def fmu_plant(model: FmuPlant, _: Robot, folder: Path) -> Plant:
@@ -217,6 +219,8 @@ def _end_with_parent(line: Connection, parent: int, folder: str) -> None:
 
 def _bound_memory(most_GB: float) -> None:
     """Limit the private memory of this process; a lower limit of the machine stays."""
+    import resource  # noqa: PLC0415 - not on Windows
+
     most = round(most_GB * 1e9)
     _, allowed = resource.getrlimit(resource.RLIMIT_DATA)
     if allowed != resource.RLIM_INFINITY:

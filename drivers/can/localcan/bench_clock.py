@@ -10,7 +10,6 @@ Each reading is raised to the latest reading of any participant, so that time ne
 
 import ctypes
 import time
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from drivers.clock import Clock
 from drivers.compiled.compiler import INTEGER, OUT_INTEGERS, helper, kernel
 from drivers.compiled.pointed import call
 
-_libc: Any = ctypes.CDLL(None)
 PLAIN, HELD, FOREIGN = range(3)
 """Values at CLOCK_AT: time never stands still; it may; it no longer may, as a participant has sent that does
 not hold time."""
@@ -33,7 +31,7 @@ _LOOK_NS = 2_000_000
 NAP_S = 2e-4
 """Pause between two checks while time stands still."""
 _NEVER = 1 << 62
-_CLOCK_ID = time.CLOCK_MONOTONIC
+_CLOCK_ID = getattr(time, "CLOCK_MONOTONIC", 1)
 _AT, _NOW, _BEHIND, _FREE, _OVERDUE, _SECONDS, _NANOSECONDS, _GETTIME, _RESULT = range(9)
 """Indices of a clock's `state`: word of its own due; virtual time; lag of virtual time by a standstill;
 CLOCK_MONOTONIC; slot of the participant with the earliest due, -1: none; seconds and nanoseconds of
@@ -138,7 +136,7 @@ class BenchClock(Clock):
         self._ring = wire.ring
         self._state = state = np.zeros(_RESULT + 1, np.int64)
         state[_AT] = at.slot_at(serial) + at.SLOT_DUE
-        state[_GETTIME] = ctypes.cast(_libc.clock_gettime, ctypes.c_void_p).value or 0
+        state[_GETTIME] = ctypes.cast(ctypes.CDLL(None).clock_gettime, ctypes.c_void_p).value or 0
         state[_RESULT] = state.ctypes.data + 8 * _SECONDS
         self.arguments = wire.words, state
         self.wires: list[Ints] = []

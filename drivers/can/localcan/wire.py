@@ -4,7 +4,6 @@ Joining and leaving take the file's lock, for a bounded time; sending and receiv
 """
 
 import contextlib
-import fcntl
 import mmap
 import os
 import select
@@ -88,6 +87,8 @@ class Wire:
 
     def lock(self, seconds: float) -> bool:
         """Lock the channel against others that join or leave; False if that took more than `seconds`."""
+        import fcntl  # noqa: PLC0415 - not on Windows
+
         until = time.monotonic() + seconds
         while True:
             with contextlib.suppress(BlockingIOError):
@@ -110,6 +111,8 @@ class Wire:
 
     def unlock(self) -> None:
         """Release the lock, so that others can join and leave."""
+        import fcntl  # noqa: PLC0415 - not on Windows
+
         fcntl.flock(self._fd, fcntl.LOCK_UN)
 
     def close(self) -> None:

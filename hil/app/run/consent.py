@@ -2,7 +2,6 @@
 
 import os
 import select
-import termios
 from collections.abc import Callable
 
 from drivers.errors import RunError
@@ -40,6 +39,8 @@ class EnterKey:
         """True if Enter was pressed since the last call. The first call discards earlier input."""
         if self._gone:
             return False
+        import termios  # noqa: PLC0415 - not on Windows
+
         try:
             if not self._asked:
                 self._asked = True

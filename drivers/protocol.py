@@ -179,7 +179,7 @@ class Traits:
     power_told: Literal["feedback", "heartbeat", "never"] = "feedback"
     """Message by which a drive reports that it is no longer enabled."""
     reports_force: bool = True
-    """True if a feedback has the force that the drive gives: column `drive_force`."""
+    """True if feedback carries the force, or torque or current, of a drive; else `drive_force` stays 0."""
     reported_lengths: tuple[Array, Array] | None = None
     """Shortest and longest leg lengths, (6,) m, that feedback can carry; None: no limit."""
 

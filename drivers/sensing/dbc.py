@@ -97,7 +97,10 @@ class DbcSensor(Timed):
 
     def _database(self, folder: Path) -> tuple[str, str, Any]:
         path = folder / self.file
-        text = dbc_text(read_regular(path, _MOST_BYTES))
+        try:
+            text = dbc_text(read_regular(path, _MOST_BYTES))
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(f"file: {path}: {getattr(error, 'strerror', error)}") from error
         return path.name, text, parsed_dbc(text, self.file)
 
     def _field(self, to: int, quantity: str, signal: Any, si: str) -> Field:

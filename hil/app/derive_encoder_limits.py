@@ -229,4 +229,5 @@ def leg_errors(c: Configuration) -> LegErrors:
         rate_scale_std=1e-2 * monitor.rate_error_percent / UNKNOWN,
         force_std_N=force_std_N,
         force_time_s=1e-3 * s.leg_force_time_ms,
+        reports_force=build_protocol(c.bus, c.drives).traits.reports_force,
     )

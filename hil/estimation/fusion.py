@@ -7,9 +7,11 @@ stamps and of its pose, which six legs reveal; optionally the force along each l
 model nor drives know: friction, inertia of motor and screw. The prediction from tick to tick uses the model's
 acceleration under the forces that the drives report, at their own latching. The command of the tick before
 would miss the delay of force loop and bus (1.1 ms at 1 kHz). The reference would miss every disturbance and
-the law's own corrections. For a silent drive its last command is used. On the brakes there is no
-acceleration: while they stop the platform, no leg is doubted. Once all legs with readings are at rest, the
-platform is at rest, too, also in the direction that a lost leg leaves open.
+the law's own corrections. For a silent drive, and for drives that report no force, the last command is used.
+On the brakes there is no acceleration: while they stop the platform, no leg is doubted. Once all legs with
+readings are at rest, the platform is at rest, too, also in the direction that a lost leg leaves open.
+
+Polled encoders sample one after the other. Their rates bring the lengths to the instant of the first one.
 
 Each leg gives length and rate. A leg that contradicts the prediction is left out. If two legs do so at once,
 the prediction was wrong, and the process noise of that interval is raised until it fits. The encoder of a leg
@@ -111,6 +113,7 @@ class FusedEstimator:
             rate_scale=legs.rate_scale_std**2,
             leg_force=legs.force_std_N**2,
             leg_force_s=legs.force_time_s,
+            reports_force=legs.reports_force,
             gate=settings.gate_std**2,
             gravity=platform.gravity,
             may_lose=[leg in settings.may_lose_legs for leg in range(LEGS)],

@@ -48,6 +48,7 @@ FUSION = np.dtype(
         ("leg_force", "<f8"), ("leg_force_s", "<f8"),  # N^2, and its correlation time
         ("gate", "<f8"),  # square of the allowed number of standard deviations
         ("gravity", "<f8", (3,)),
+        ("reports_force", "<i8"),  # 0: the drives report no force, the commands count
         # limits
         ("may_lose", "<i8", (6,)), ("at_once", "<i8"),  # legs that may be lost, and how many
         ("gap_max_s", "<f8"), ("std_max_m", "<f8"),
@@ -86,3 +87,5 @@ class LegErrors(NamedTuple):
     """Standard deviation of the force along a leg that model and drives do not know; 0: none."""
     force_time_s: float = 0.1
     """Correlation time of the unknown leg force."""
+    reports_force: bool = True
+    """False for drives whose feedback carries no force: the commands count."""

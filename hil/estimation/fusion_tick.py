@@ -63,10 +63,13 @@ def _open(f: Any, tick: Any, command: Array, wrench: Array) -> None:
     tau, mean = np.empty(LEGS), np.empty(LEGS)
     for leg in range(LEGS):
         s.length[leg], s.rate[leg] = tick.length[leg], tick.rate[leg]
+        if tick.latch_ns[leg]:  # polled drives sample one after the other
+            after_ns = tick.t_ns + tick.lateness_ns + tick.latch_ns[leg] - s.latched_ns
+            s.length[leg] -= tick.rate[leg] * (1e-9 * after_ns)
         if tick.age[leg] == 0 and not f.slipped[leg]:
             doubted = (free or stands) and f.left_out[leg] < LEFT_OUT_TICKS
             s.used[leg] = 1 if doubted else KEPT
-        heard = tick.age[leg] == 0 or tick.blind[leg] != 0
+        heard = f.reports_force and (tick.age[leg] == 0 or tick.blind[leg] != 0)
         tau[leg] = tick.drive_force[leg] if heard else command[leg]
         mean[leg] = 0.5 * (tau[leg] + f.tau[leg]) if f.driven else tau[leg]
     if free:

@@ -241,6 +241,15 @@ def test_other_sensors_and_legs_on_the_interface_are_refused():
         changed("desktop", bus={"interface": "udp", "channel": HERE, "options": TRACKED["options"]})
 
 
+@pytest.mark.parametrize("wrong", [{"options": {"source": "camera.local"}}, {"channel": "127.0.0.1:70000"}])
+def test_wrong_address_of_motion_capture_is_refused_before_a_run(wrong):
+    entry = TRACKED | wrong
+    tracker = {"channel": entry["channel"], "device": {"protocol": "mocap"}}
+    legs = {"channel": "desktop0", "legs": [*range(6)]}
+    with pytest.raises(ConfigurationError, match="ADDRESS:PORT"):
+        changed("desktop", bus={"channels": [legs, entry]}, sensors={"tracker": tracker})
+
+
 # what the servers send
 
 TURNS = [Rotation.random(random_state=seed) for seed in range(30)]

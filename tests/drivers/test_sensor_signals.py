@@ -128,6 +128,12 @@ def test_singular_matrix_of_a_force_torque_sensor_is_refused_in_one_line():
     assert "\n" not in str(raised.value)
 
 
+def test_missing_dbc_of_a_sensor_is_refused_with_its_key(tmp_path):
+    sensors = SensorSettings.model_validate({"inclination": by_dbc("none.dbc", {"roll": "SlopeLateral"})})
+    with pytest.raises(ConfigurationError, match=r"sensors\.inclination\.device\.file: .*none\.dbc: No such"):
+        SensorProtocol(BusSettings(), sensors, tmp_path)
+
+
 def test_signal_beyond_the_bytes_of_its_message_is_refused(tmp_path):
     (tmp_path / "my.dbc").write_text((ROOT / EXAMPLES / "cia410.dbc").read_text().replace("_10: 4", "_10: 3"))
     device = by_dbc("my.dbc", {"roll": "SlopeLateral"})

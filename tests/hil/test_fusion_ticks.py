@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from drivers.compiled.compiler import MATRIX, kernel, record
 from drivers.compiled.pointed import context_of
@@ -138,6 +139,29 @@ def test_filter_uses_the_reported_force_of_a_drive_without_encoder_and_the_comma
     sensor_samples.update(found, tick, MS, Readings(), np.full(6, 50.0), ZERO)
     expected = [50.0 if i == other else i + 1.0 for i in range(6)]
     np.testing.assert_allclose(force(found), expected, rtol=0.0, atol=1e-6)
+
+
+def test_filter_uses_the_commanded_forces_of_drives_that_report_none():
+    found = estimator(errors=LOOSE_LEGS._replace(reports_force=False))
+    tick = altered(driven(np.zeros(6)), tick=1)
+    sensor_samples.update(found, tick, MS, Readings(), np.arange(6.0) + 50.0, ZERO)
+    np.testing.assert_allclose(force(found), np.arange(6.0) + 50.0, rtol=0.0, atol=1e-6)
+
+
+def test_lengths_that_are_polled_one_after_the_other_give_the_pose_at_the_first_poll():
+    start, velocity, turns = Truth(4), np.array([0.3, -0.2, 0.1]), np.array([0.2, 0.1, -0.1])
+    found, twist = estimator(LOOSE, LOOSE_LEGS, start), np.concatenate((velocity, turns))
+    latch_ns = 50_000 + 60_000 * np.arange(6)
+
+    def at(t_s):
+        return start.p + velocity * t_s, Rotation.from_rotvec(turns * t_s) * start.R
+
+    for tick in range(1, 50):
+        each = [legs(*at(tick * T + 1e-9 * after), twist) for after in latch_ns]
+        q, dq = (np.array([each[leg][k][leg] for leg in range(6)]) for k in range(2))
+        seen = altered(measurement(q, dq), tick=tick, t_ns=tick * MS, lateness_ns=0, latch_ns=latch_ns)
+        sensor_samples.update(found, seen, None, Readings(), ZERO, ZERO)
+    assert np.abs(seen["p"] - at(49 * T + 5e-5)[0]).max() < 1e-6, "m; it moves by 0.11 mm between the polls"
 
 
 @pytest.mark.parametrize("leg", range(6))

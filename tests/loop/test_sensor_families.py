@@ -11,6 +11,7 @@ import pytest
 from drivers.errors import ConfigurationError
 from drivers.signals import Mode
 from hil.app.configuration.configuration import Configuration
+from hil.app.derive_encoder_limits import leg_errors
 from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.record.log import Log
@@ -67,6 +68,7 @@ def test_second_encoders_load_cells_and_tracker_work_with_every_drive_family(fam
     assert 3e-3 - period_s < rows["tracker_age"].min() <= rows["tracker_age"].max() < 16e-3
     assert np.abs(rows["tracker_pose"][:, :3] - rows["p"]).max() < 5e-3
     assert rows["rejected"].sum() == 0
+    assert rows["drive_force"].any() == leg_errors(c).reports_force == (family != "odrive")
 
 
 def test_age_of_a_free_running_encoder_is_right_within_its_waiting_time_on_the_bus():

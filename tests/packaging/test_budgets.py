@@ -8,22 +8,22 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
-    "drivers": (11_700, 88_650),
+    "drivers": (11_700, 88_675),
     "plant_fmu": (11_150, 76_750),
     "hil/loop hil/operate": (6_775, 52_275),
-    "hil/safety hil/estimation": (3_435, 28_850),
+    "hil/safety hil/estimation": (3_440, 28_925),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
     "hil/record": (4_885, 38_275),
-    "hil/config hil/app/configuration": (3_965, 25_975),
+    "hil/config hil/app/configuration": (3_970, 26_000),
     "hil/design hil/proof": (6_175, 56_975),
     "hil/lab": (8_495, 72_625),
-    "hil/study": (8_570, 71_975),
-    "hil/app": (12_775, 92_525),
+    "hil/study": (8_575, 72_000),
+    "hil/app": (12_775, 92_575),
     "hil/cli": (2_580, 12_950),
     "hil/contracts": (1_720, 14_900),
     "tools": (2_940, 23_525),
     "configs": (205, 1_875),
-    "tests": (79_085, 700_525),
+    "tests": (79_125, 701_075),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

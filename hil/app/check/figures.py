@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.config import UDP
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
 from hil.app.adapter.qualification import differences, judge, qualifications
@@ -57,7 +58,13 @@ def bus(r: Report) -> None:
         return
     found = []
     set_up = set_up_ns(c.bus, s.protocol)
-    for title, budget, answer_us, ns in zip(titles, budgets, s.answers_us, set_up, strict=True):
+    for title, each, budget, answer_us, ns in zip(
+        titles, c.bus.buses, budgets, s.answers_us, set_up, strict=True
+    ):
+        if each.interface == UDP:
+            found.append({"load_percent": 0.0})
+            r.add(title, "datagrams: no bus time")
+            continue
         figures = {
             "load_percent": budget.load_percent,
             "total_us": budget.total_ns / 1e3,

@@ -8,6 +8,7 @@ from typing import NamedTuple, Self
 
 from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, frame_bits, frame_time_ns
+from drivers.can.udp import addresses
 from drivers.config import UDP, BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
@@ -123,6 +124,8 @@ def bus_budgets(
             raise ConfigurationError(f"bus.channels[{index}]: a bus needs legs or a sensor, given: neither")
         if legs and bus.buses[index].interface == UDP:
             raise ConfigurationError(f"bus: interface {UDP} carries a tracker, allowed there: no legs")
+        if bus.buses[index].interface == UDP:
+            addresses(bus.buses[index])
     if bus.layout == "ideal":
         return ()
     frames = protocol.traits.cyclic_frames + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)

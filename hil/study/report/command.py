@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from drivers.can.bus_time import BitTiming
+from drivers.config import UDP
 from drivers.errors import LogError
 from hil.app.files import new_file, write_whole
 from hil.app.output import figure_rows
@@ -60,7 +61,10 @@ def report(
 def _page(run: Run) -> str:
     log, rows, c, story = run.log, run.rows, run.c, run.story
     events, t = log.events(), seconds(rows)
-    timings = [] if c is None or c.bus.layout == "ideal" else [BitTiming.of(each) for each in c.bus.buses]
+    timings = [
+        None if each.interface == UDP else BitTiming.of(each)
+        for each in (() if c is None or c.bus.layout == "ideal" else c.bus.buses)
+    ]
     bus = traffic(log, rows, timings)
     shown = charts(rows, c, bus, run.rate_Hz)
     moving = None if c is None else scene(rows, t, c)

@@ -24,10 +24,10 @@ class Traffic(NamedTuple):
     """Bus name -> (n,) worst-case wire time of a tick's frames, sent and received; empty without timing."""
 
 
-def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming]) -> Traffic:
+def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming | None]) -> Traffic:
     """Bus traffic of a run from the frames in its log.
 
-    timings : bit timing of each bus; empty if frames take no bus time or an unknown one.
+    timings : bit timing of each bus, None for datagrams; empty if frames take no bus time or an unknown one.
     """
     n = len(rows)
     answered = np.full(n, np.nan)
@@ -40,13 +40,14 @@ def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming]) -> Traffic:
             continue
         for frame in (*tick.sent, *(r.frame for r in tick.received)):
             bus = frame.flags // BUS
+            timing = timings[min(bus, len(timings) - 1)]
+            if timing is None:
+                continue
             name = names[bus] if bus < len(names) else f"bus {bus}"
             if name not in busy:
                 busy[name] = np.zeros(n)
             try:
-                busy[name][k] += frame_time_ns(
-                    len(frame.data), frame.flags % BUS, timings[min(bus, len(timings) - 1)]
-                )
+                busy[name][k] += frame_time_ns(len(frame.data), frame.flags % BUS, timing)
             except BusError:  # an invalid frame takes no bus time
                 continue
     return Traffic(answered, busy)

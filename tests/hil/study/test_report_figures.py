@@ -221,6 +221,7 @@ def test_the_load_of_each_bus_follows_from_its_own_bit_rate():
     busy = traffic(log, rows_of(1), [BitTiming(1_000_000, 1_000_000), BitTiming(250_000, 250_000)]).busy_ns
     assert list(busy) == ["bus a", "bus b"]
     assert busy["bus b"][0] == 2 * 4 * busy["bus a"][0] > 0, "two frames at a quarter of the rate"
+    assert list(traffic(log, rows_of(1), [BitTiming(1_000_000, 1_000_000), None]).busy_ns) == ["bus a"]
 
 
 @pytest.mark.parametrize("at", [0, 1, 4999, 12345, 99_998, 99_999])

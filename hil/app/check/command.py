@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from hil.app.check import figures, sensing
+from hil.app.check import figures, plant, sensing
 from hil.app.check.report import Report
 from hil.app.check.subject import controlled_stop_m, course, looked_at, reacted_to
 from hil.app.check.warnings import warnings
@@ -11,7 +11,7 @@ from hil.app.configuration.configuration import Configuration
 SECTIONS: tuple[Callable[[Report], None], ...] = (
     figures.robot, figures.bus, figures.drives, figures.transmission, figures.controller, figures.stability,
     sensing.monitor, sensing.encoders, sensing.fusion, figures.reference, figures.operating, figures.payload,
-    figures.feedforward, figures.plant, figures.permissions,
+    figures.feedforward, plant.plant, figures.permissions,
 )  # fmt: skip
 
 

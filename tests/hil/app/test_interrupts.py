@@ -112,7 +112,7 @@ def test_interrupt_during_the_recorder_start_takes_effect_after_the_start(monkey
 
     signal.signal(signal.SIGINT, lambda *_: order.append("interrupted"))
     monkeypatch.setattr(child, "start", start)
-    child.spawn(SimpleNamespace(fd=-1))  # type: ignore[arg-type]
+    child.spawn(SimpleNamespace(fd=3))  # type: ignore[arg-type]
     assert order[:2] == ["started", "interrupted"]
 
 

@@ -97,7 +97,7 @@ def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
     try:
         lockstep = build_lockstep(c, _controller(c, first), nodes, first)
         with record(c, lockstep.cycle, log, "sim", lockstep=True) as recording, collector_paused():
-            pids = os.getpid(), recording._process.pid  # noqa: SLF001 - seen from outside
+            pids = os.getpid(), recording.process.pid
 
             def take(ticks: Ticks, new: slice, given: Given) -> None:
                 rows, frames, ends = ticks.recorded(new)

@@ -115,6 +115,12 @@ class Recording:
         self._summary: LogSummary | None = None
         self._reply: Mapping[str, Any] | None = None
 
+    @property
+    def process(self) -> subprocess.Popen[bytes]:
+        """Recorder's process, on Linux."""
+        assert isinstance(self._process, subprocess.Popen)
+        return self._process
+
     @classmethod
     def start(
         cls,

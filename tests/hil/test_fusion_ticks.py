@@ -157,7 +157,8 @@ def test_lengths_that_are_polled_one_after_the_other_give_the_pose_at_the_first_
         return start.p + velocity * t_s, Rotation.from_rotvec(turns * t_s) * start.R
 
     for tick in range(1, 50):
-        each = [legs(*at(tick * T + 1e-9 * after), twist) for after in latch_ns]
+        poses = [at(tick * T + 1e-9 * after) for after in latch_ns]
+        each = [legs(p, R, twist) for p, R in poses]
         q, dq = (np.array([each[leg][k][leg] for leg in range(6)]) for k in range(2))
         seen = altered(measurement(q, dq), tick=tick, t_ns=tick * MS, lateness_ns=0, latch_ns=latch_ns)
         sensor_samples.update(found, seen, None, Readings(), ZERO, ZERO)

@@ -211,7 +211,7 @@ def test_last_mirror_update_of_a_killed_recorder_stays_readable(tmp_path):
     recording.tick(random_rows(1)[0], (), ())
     reader = MirrorReader(shown)
     until(reader.read)
-    recording._process.kill()
+    recording.process.kill()
     recording.close()
     assert not newest(reader).ended
     assert int(newest(reader).row["tick"]) == 0

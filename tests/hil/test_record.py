@@ -130,7 +130,7 @@ def test_lockstep_recordings_are_byte_equal_up_to_the_summary(tmp_path, capfd):
     assert len(contents[0][0]) > 5000
     assert contents[0] == contents[1]
     assert capfd.readouterr() == ("", "")  # random bits as poses included
-    assert recording._process.returncode == 0
+    assert recording.process.returncode == 0
 
 
 def test_lockstep_recording_does_not_stall_if_frames_fill_the_ring_before_rows(path):
@@ -164,7 +164,7 @@ def test_ticks_recorded_in_blocks_or_singly_give_the_same_log(tmp_path, frames):
 
 def test_real_time_drops_and_counts_ticks_if_the_recorder_is_slow(path):
     recording = Recording.start(path, configuration="", ring_ticks=256)
-    os.kill(recording._process.pid, signal.SIGSTOP)
+    os.kill(recording.process.pid, signal.SIGSTOP)
     ticks = random_ticks(300)
     try:
         begin = time.monotonic()
@@ -173,7 +173,7 @@ def test_real_time_drops_and_counts_ticks_if_the_recorder_is_slow(path):
         assert recording.alive
         assert (recording.ticks, recording.dropped) == (256, 44)
     finally:
-        os.kill(recording._process.pid, signal.SIGCONT)
+        os.kill(recording.process.pid, signal.SIGCONT)
     summary = recording.close()
     assert (summary.ticks, summary.dropped, summary.complete) == (256, 44, False)
     log = Log.open(path)
@@ -188,7 +188,7 @@ def test_the_recorder_ignores_ctrl_c_and_termination_signals(path):
     recording = Recording.start(path, configuration="")
     record(recording, random_ticks(10))
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        os.kill(recording._process.pid, number)
+        os.kill(recording.process.pid, number)
     record(recording, random_ticks(10, seed=2))
     time.sleep(0.1)
     assert recording.alive
@@ -202,7 +202,7 @@ from tests.hil.samples import random_ticks, record
 path, count, pace = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
 ticks = random_ticks(count)
 recording = Recording.start(path, configuration="kept: true\\n")
-print(recording._process.pid, flush=True)
+print(recording.process.pid, flush=True)
 begin = time.monotonic()
 for i, tick in enumerate(ticks):
     record(recording, [tick])
@@ -259,8 +259,8 @@ def test_a_real_time_run_continues_without_its_recorder(path):
     record(recording, random_ticks(50))
     assert recording.alive
     assert being_written(path)
-    os.kill(recording._process.pid, signal.SIGKILL)
-    recording._process.wait()
+    os.kill(recording.process.pid, signal.SIGKILL)
+    recording.process.wait()
     assert not recording.alive
     assert not being_written(path)
     record(recording, random_ticks(400))
@@ -273,7 +273,7 @@ def test_a_real_time_run_continues_without_its_recorder(path):
 
 def test_a_lockstep_run_fails_without_its_recorder(path):
     recording = Recording.start(path, configuration="", lockstep=True, ring_ticks=256)
-    os.kill(recording._process.pid, signal.SIGKILL)
+    os.kill(recording.process.pid, signal.SIGKILL)
     with pytest.raises(LogError, match="the recorder died"):
         record(recording, random_ticks(400))
     assert not recording.close().complete
@@ -287,7 +287,7 @@ ROOM = 900_000
 
 def lessen(recording, room=ROOM):
     """Limit the size of the recorder's files, which acts like a full disk."""
-    resource.prlimit(recording._process.pid, resource.RLIMIT_FSIZE, (room, room))
+    resource.prlimit(recording.process.pid, resource.RLIMIT_FSIZE, (room, room))
 
 
 def test_a_full_disk_closes_the_log_with_the_ticks_that_fit(tmp_path):

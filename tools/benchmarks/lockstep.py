@@ -49,7 +49,7 @@ def recorder(benchmark: Benchmark) -> list[Figure]:
         ring_ticks=RING,
     )
     with recording:
-        before = cpu_s(recording._process.pid)  # noqa: SLF001 - its start is not part of the figure
+        before = cpu_s(recording.process.pid)
         ready = [(np.array(e.row), e.received, e.sent, e.operator) for e in entries]
         took = []
         begun = time.perf_counter()

@@ -52,8 +52,8 @@ class History:
         try:
             with tempfile.TemporaryDirectory(prefix="hil-report-") as folder:
                 out, logs = Path(folder) / "report.html", [str(self._folder / name) for name in names]
-                words, pipes = ("report", *logs, "--out", str(out)), {"stderr": PIPE, "stdout": DEVNULL}
-                _, trouble = start("hil.cli", *words, **pipes).communicate()
+                words = "report", *logs, "--out", str(out)
+                _, trouble = start("hil.cli", *words, stderr=PIPE, stdout=DEVNULL).communicate()
                 if not out.exists():
                     raise Refused(HTTPStatus.INTERNAL_SERVER_ERROR, trouble.decode(errors="replace").strip())
                 return out.read_bytes()

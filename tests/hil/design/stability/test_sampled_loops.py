@@ -153,8 +153,8 @@ def test_delay_margin_of_coupled_legs_is_the_smallest_over_their_modes():
 def test_margins_of_coupled_legs_are_the_smallest_over_their_modes():
     found = [analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).margins for m in MASSES]
     coupled = springs(MOBILITY, 1e6, 2e4)
-    assert coupled.margins(AXIS)[2] == pytest.approx(min(m.phase_deg for m in found), rel=0.01)
-    assert coupled.gain_up(AXIS) == pytest.approx(min(m.gain_up for m in found), rel=1e-4)
+    assert coupled.margins(AXIS)[2] == pytest.approx(min(m.phase_deg for m in found if m), rel=0.01)
+    assert coupled.gain_up(AXIS) == pytest.approx(min(m.gain_up for m in found if m), rel=1e-4)
 
 
 @pytest.mark.parametrize("K_v", [4e3, 2e4])

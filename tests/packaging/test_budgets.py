@@ -13,7 +13,7 @@ BUDGETS = {
     "hil/loop hil/operate": (6_775, 52_275),
     "hil/safety hil/estimation": (3_440, 28_925),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_825, 44_250),
-    "hil/record": (4_885, 38_275),
+    "hil/record": (4_890, 38_300),
     "hil/config hil/app/configuration": (3_970, 26_000),
     "hil/design hil/proof": (6_175, 56_975),
     "hil/lab": (8_495, 72_625),

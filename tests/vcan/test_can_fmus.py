@@ -64,7 +64,7 @@ def test_can_fmus_exchange_frames_on_vcan0_with_each_other_and_another_node(tmp_
         assert own[-1][RECEIVED] in (there - 1, there, there + 1)  # with the frame of the other node
         assert own[-1][CONFIRMED] == 29
     assert summaries["both"]["frames"] == 60
-    assert summaries["both"]["lateness_us"].keys() == {"median", "p99", "largest"}
+    assert summaries["both"]["lateness"].keys() == {"median_us", "p99_us", "largest_us"}
 
     # 12 bytes with bit rate switch: CANFD_BRS 1 of linux/can.h, with CANFD_FDF 4 of newer kernels.
     long = [(flags, len(data)) for identifier, flags, data in frames(tmp_path, "fd") if identifier == 0x111]

@@ -215,7 +215,7 @@ class SensorProtocol:
             for frame in (*starts, *each.on_bus(frames)):
                 key = frame.bus, frame.id, frame.flags & EXTENDED
                 other, *terms = taken.setdefault(key, (mine, *own))
-                shares = terms == own if each.device.database and each.device.timing != STAMPED else False
+                shares = bool(each.device.database) and each.device.timing != STAMPED and terms == own
                 if frame in starts or not (other == mine or shares) or protocol.sender(frame) >= 0:
                     raise ConfigurationError(
                         f"{mine}: identifier 0x{frame.id:X} is also that of "

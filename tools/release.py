@@ -67,7 +67,7 @@ def project() -> dict[str, Any]:
 
 
 def obstacles() -> list[str]:
-    """Return what is missing for a published release, one sentence each."""
+    """Missing parts of a published release, one sentence each."""
     version = project()["version"]
     heading = rf"^## \[{re.escape(version)}\] - \d{{4}}-\d\d-\d\d$"
     cited = f'version: "{version}"' in (ROOT / "CITATION.cff").read_text()

@@ -36,7 +36,7 @@ class Udp(Link):
     knows_ends = True  # of the frames it sends: none
 
     def __init__(self, settings: BusSettings, role: str) -> None:
-        """Raises BusError for an address that is none, or that this machine does not have."""
+        """Raises BusError for an invalid address, or one that this machine does not have."""
         self.clock = MONOTONIC
         self._taken_ns = []
         self._address, self._source = addresses(settings)

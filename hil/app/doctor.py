@@ -59,7 +59,7 @@ class Machine(NamedTuple):
             return ""
 
     def number(self, path: str) -> int:
-        """Number in a file; 0 if there is none."""
+        """Number in a file; 0 if the file or the number is missing."""
         text = self.read(path)
         return int(text) if text.isdecimal() else 0
 

@@ -123,7 +123,7 @@ def loss_at_rate(
     near: Bus, far: Bus, ours: Rows, theirs: Rows, rate_Hz: float, ticks: int, tell: Tell
 ) -> Loss:
     """Send the frames of a tick at the rate of the loop, `ours` from near and `theirs` from far."""
-    only_ours(far.wait(far.clock.now() + _REST_NS))  # a late single frame is none of these
+    only_ours(far.wait(far.clock.now() + _REST_NS))  # late single frames do not count as lost or heard here
     deadlines = Deadlines(rate_Hz, 0.0, clock=near.clock)
     refused = heard = 0
     for tick in range(ticks):

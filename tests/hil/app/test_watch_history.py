@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("meeting_place")
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """A good run with other gains, one with an encoder jump, a log that is cut, and one that is no log."""
+    """A good run with other gains, one with an encoder jump, a log that is cut, and a file that is not a log."""
     folder = tmp_path_factory.mktemp("runs")
     c = load("virtual")
     simulate(c, log=folder / "good.mcap", duration_s=1.7, check_replay=False)

@@ -20,12 +20,12 @@ _CLOCKS = {
 }
 
 
-def demo_node() -> Path:
-    """The demo FMU of fmi-ls-bus-examples; skips the test without it."""
+def demo_node(clock: str) -> Path:
+    """The demo FMU of fmi-ls-bus-examples whose Tx clock is `clock`; skips the test without it."""
     folder = os.environ.get("HIL_LS_BUS_FMUS")
     if not folder:
         pytest.skip("HIL_LS_BUS_FMUS is not set: the folder of the demo FMUs (docs/guides/can-fmus.md)")
-    return Path(folder).resolve() / "DemoCanNodeTriggeredOutput.fmu"
+    return Path(folder).resolve() / f"DemoCanNode{clock}.fmu"
 
 
 def description(countdown: bool, fixed_step_ms: int = 0) -> str:

@@ -60,11 +60,12 @@ def test_hil_bus_in_real_time_holds_the_priority_that_the_user_may_have(tmp_path
 
 
 @pytest.mark.realtime(patient=True)
-def test_demo_nodes_of_the_standard_exchange_their_frames_on_localcan():
-    demo = str(demo_node())
-    slow = BitTiming(100_000, 100_000)  # as they configure
+@pytest.mark.parametrize("clock", ["TriggeredOutput", "Countdown"])
+def test_demo_nodes_of_the_standard_exchange_their_frames_on_localcan(clock):
+    demo = str(demo_node(clock))
+    slow = BitTiming(100_000, 100_000)  # the triggered one configures it
     listener = Participant("demo", slow, fd=False)
-    summary = run_attached([demo, demo], RATES, 1000, 0.95, interface="localcan", channel="demo", fd=False)
+    summary = run_attached([demo, demo], slow, 1000, 0.95, interface="localcan", channel="demo", fd=False)
     time.sleep(0.01)
     heard = received_frames(listener.receive())
     listener.close()

@@ -19,11 +19,11 @@ RECEIVED, CONFIRMED, LOST, ERRORS, REFUSED = range(1, 6)
 """Bytes of a frame of node.c with its counts."""
 
 
-def run(nodes, until_ns, step_ns=MS, **settings):
+def run(nodes, until_ns, step_ns=MS, timing=RATES, **settings):
     """(bus, frames as tuples of end ns, node, identifier, data) after `until_ns`."""
     seen = []
     bus = SharedBus(
-        nodes, RATES, step_ns, on_frame=lambda t, k, f: seen.append((t, k, f.id, f.data)), **settings
+        nodes, timing, step_ns, on_frame=lambda t, k, f: seen.append((t, k, f.id, f.data)), **settings
     )
     bus.run(until_ns)
     return bus, seen
@@ -112,17 +112,23 @@ def test_two_bit_rates_on_one_bus_are_refused(hosted):
         run([hosted(0x100), hosted(0x200, BITRATE=250_000)], 10 * MS)
 
 
-def test_demo_nodes_of_the_standard_send_at_the_times_of_their_source_to_the_bit():
-    path, bit_ns = demo_node(), 10_000
-    nodes = [Node(read_can_fmu(path), f"demo{k}") for k in range(2)]
+@pytest.mark.parametrize(
+    ("clocks", "late_ns"),
+    [
+        (("TriggeredOutput", "TriggeredOutput"), 10_000),  # its own times, on a grid of one bit
+        (("TriggeredOutput", "Countdown"), 10_000),
+        (("Countdown", "Countdown"), 0),
+    ],
+)
+def test_demo_nodes_of_the_standard_send_at_the_times_of_their_source_to_the_bit(clocks, late_ns):
+    nodes = [Node(read_can_fmu(demo_node(clock)), f"demo{k}") for k, clock in enumerate(clocks)]
     try:
-        _, seen = run(nodes, 1000 * MS, step_ns=bit_ns)
+        _, seen = run(nodes, 1000 * MS, step_ns=10_000, timing=BitTiming(100_000, 100_000))
     finally:
         for node in nodes:
             node.close()
     # Each sends 4 bytes every 0.3 s at 100 kbit/s: 95 bits, 950 us; two at once share the bus.
-    assert [i for _, _, i, _ in seen] == [1] * 6
-    assert all(data == b"\1\2\3\4" for *_, data in seen)
+    assert [(i, data) for _, _, i, data in seen] == [(1, b"\1\2\3\4")] * 6
     for k, (first, second) in enumerate(list(pairwise(seen))[::2], 1):
-        assert 0 <= first[0] - (k * 300 * MS + 950_000) <= bit_ns  # 0.3 s summed in floating point
-        assert second[0] - first[0] == 950_000
+        assert 0 <= first[0] - (k * 300 * MS + 950_000) <= late_ns  # 0.3 s summed in floating point
+        assert 950_000 <= second[0] - first[0] <= 950_000 + late_ns

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.network.can_nodes import build_node
+from tests.network.can_nodes import build_node, demo_node
 from tests.vcan import uml
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,9 +51,9 @@ def test_can_fmus_exchange_frames_on_vcan0_with_each_other_and_another_node(tmp_
         "fd": [fd, timed, "--duration", "1"],
         "refused": [fd, "--duration", "1", "--classic"],
     }
-    if folder := os.environ.get("HIL_LS_BUS_FMUS"):
-        demo = str(Path(folder).resolve() / "DemoCanNodeTriggeredOutput.fmu")
-        runs["demo"] = [demo, demo, "--duration", "1", "--classic"]
+    if has_demos := "HIL_LS_BUS_FMUS" in os.environ:
+        demos = [str(demo_node(clock)) for clock in ("TriggeredOutput", "Countdown")]
+        runs["demo"] = [*demos, "--duration", "1", "--classic"]
     summaries = on_vcan(tmp_path, runs)
 
     heard = frames(tmp_path, "both")
@@ -73,5 +73,5 @@ def test_can_fmus_exchange_frames_on_vcan0_with_each_other_and_another_node(tmp_
     assert frames(tmp_path, "refused") == []
     assert summaries["refused"]["nodes"][0]["corrupt"] == 10  # each answered with a Format Error
 
-    if folder:
+    if has_demos:
         assert frames(tmp_path, "demo") == [(1, None, b"\1\2\3\4")] * 6

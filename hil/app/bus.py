@@ -34,11 +34,11 @@ def open_nodes(given: Sequence[str], opened: ExitStack) -> list[Node]:
     return nodes
 
 
-def _counts(stations: Sequence[Station]) -> list[dict[str, Any]]:
-    return [
-        {"name": s.node.name, "sent": s.sent, "corrupt": s.corrupt, "format_errors_reported": s.reported}
+def _counts(stations: Sequence[Station]) -> dict[str, dict[str, int]]:
+    return {
+        s.node.name: {"sent": s.sent, "corrupt": s.corrupt, "format_errors_reported": s.reported}
         for s in stations
-    ]
+    }
 
 
 def run_lockstep(

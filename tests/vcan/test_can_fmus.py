@@ -71,7 +71,8 @@ def test_can_fmus_exchange_frames_on_vcan0_with_each_other_and_another_node(tmp_
     assert {(flags & 1, size) for flags, size in long} == {(1, 12)}
     assert len(long) == 10
     assert frames(tmp_path, "refused") == []
-    assert summaries["refused"]["nodes"][0]["corrupt"] == 10  # each answered with a Format Error
+    (refused,) = summaries["refused"]["nodes"].values()
+    assert refused["corrupt"] == 10  # each answered with a Format Error
 
     if has_demos:
         assert frames(tmp_path, "demo") == [(1, None, b"\1\2\3\4")] * 6

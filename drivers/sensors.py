@@ -126,8 +126,13 @@ class SensorProtocol:
         """Configured roles."""
         self.tables = _tables(self.sensors.values())
         """Messages of the configured sensors."""
+        first: dict[Any, int] = {}
+        for slot, each in self.sensors.items():  # legs of one device start it once
+            first.setdefault((each.role, each.device.start), slot)
         starts = [
-            (slot, frame) for slot, each in self.sensors.items() for frame in each.on_bus(each.device.start)
+            (slot, frame)
+            for slot in first.values()
+            for frame in self.sensors[slot].on_bus(self.sensors[slot].device.start)
         ]
         self._starts, self._started = sent_array(frame for _, frame in starts), [slot for slot, _ in starts]
 
@@ -202,7 +207,8 @@ class SensorProtocol:
         Two roles may read one message of a DBC: it comes at one instant.
         """
         traits = protocol.traits
-        requests = {(f.bus, f.id, f.flags & EXTENDED) for own in traits.identity_requests for f in own}
+        requests = [*traits.cyclic_frames, *(f for own in traits.identity_requests for f in own)]
+        drives = {(f.bus, f.id, f.flags & EXTENDED) for f in requests}
         taken: dict[tuple[int, ...], tuple[Any, ...]] = {
             (f.bus, f.id, f.flags & EXTENDED): ("a drive",) for f in traits.cyclic_frames
         }
@@ -210,7 +216,7 @@ class SensorProtocol:
             mine, own = f"sensors.{each.role}", [each.rate_Hz, each.device.timing, each.device.database]
             frames = [Frame(of.id, b"", of.flags & EXTENDED) for of in each.device.messages]
             starts = [
-                f for f in each.on_bus(each.device.start) if (f.bus, f.id, f.flags & EXTENDED) in requests
+                f for f in each.on_bus(each.device.start) if (f.bus, f.id, f.flags & EXTENDED) in drives
             ]
             for frame in (*starts, *each.on_bus(frames)):
                 key = frame.bus, frame.id, frame.flags & EXTENDED

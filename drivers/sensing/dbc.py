@@ -1,6 +1,7 @@
 """Any sensor whose frames a DBC describes, by the names of its signals."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -10,7 +11,7 @@ from pydantic import Field as Key
 from drivers.config import DriveSettings
 from drivers.errors import ConfigurationError
 from drivers.files import read_regular
-from drivers.protocol import BRS, EXTENDED, FD
+from drivers.protocol import BRS, EXTENDED, FD, Frame
 from drivers.sensing.family import CHANNELS, UNITS, Condition, Device, Field, Message, Timed, Wanted
 from drivers.sensing.layout import FLOAT, SIGNED, UNSIGNED
 
@@ -27,8 +28,15 @@ FACTORS: dict[str, dict[str, float]] = {
     "N m": {"N m": 1.0, "Nm": 1.0, "N.m": 1.0, "N*m": 1.0, "kNm": 1e3, "kN m": 1e3, "mNm": 1e-3},
 }
 """SI unit -> units that a DBC may state, each with its factor."""
+_FRAME = re.compile("([0-7][0-9A-F]{2}|[01][0-9A-F]{7})#([0-9A-F]{2}){0,8}", re.IGNORECASE)
+_NARROW = 3
+"""Digits of an identifier of 11 bits."""
 _LONGEST = 56
 """Bits within whole bytes that one field may span, but for fields of 64 bits on a byte boundary."""
+
+
+_Part = tuple[Any, list[Field], list[Condition]]
+"""Message of a DBC, and what is read of it."""
 
 
 class DbcSensor(Timed):
@@ -52,6 +60,8 @@ class DbcSensor(Timed):
     """Signal -> raw value that marks a sample as valid; its message is part of each sample."""
     skip: dict[str, int] = {}
     """Signal -> raw value of frames that are not read: the head of a packet of several frames."""
+    start: list[str] = []
+    """Frames that start the device, `ID#BYTES` in hexadecimal: identifier of 3 digits, extended of 8."""
     source_address: Annotated[int, Key(ge=0, le=253)] | None = None
     """J1939: source address in the identifiers of 29 bits, in place of that of the DBC."""
     trigger: Literal["sync", "free"] = "free"
@@ -75,25 +85,44 @@ class DbcSensor(Timed):
             if role in ("lengths", "forces")
             else dict(zip(names, range(6), strict=False))
         )
-        messages: dict[str, tuple[Any, list[Field], list[Condition]]] = {}
-        for quantity, to in own.items():
-            if quantity in self.signals:
-                message, signal = found_signal(database, self.signals[quantity], name)
-                _, fields, conditions = messages.setdefault(message.name, (message, [], []))
-                unit = UNITS[role][names.index(quantity)]
-                fields.append(self._field(to, quantity, signal, unit))
-                conditions += [each for each in selection(message, signal) if each not in conditions]
-        for signal_name, value in (*self.valid.items(), *self.skip.items()):
-            message, signal = found_signal(database, signal_name, name)
-            start, bits, _, big = placed(signal)
-            mask, skips = (1 << bits) - 1, signal_name in self.skip
-            conditions = messages.setdefault(message.name, (message, [], []))[2]
-            conditions.append(Condition(start, bits, value & mask, mask, big, skips=skips))
         return self.timed(
             self.trigger,
-            messages=tuple(self._message(*each) for each in messages.values()),
+            messages=tuple(self._message(*each) for each in self._parts(role, own, database, name)),
+            start=tuple(self._frames()),
             database=text,
         )
+
+    def _parts(self, role: str, own: dict[str, int], database: Any, name: str) -> Iterable[_Part]:
+        """Frames of a sample, one for each message and multiplexer value."""
+        skipped: dict[str, list[Condition]] = {}
+        for each, value in self.skip.items():
+            message, signal = found_signal(database, each, name)
+            skipped.setdefault(message.name, []).append(_condition(signal, value)._replace(skips=True))
+        used = [(self.signals[quantity], quantity, 0) for quantity in own if quantity in self.signals]
+        used += [(each, "", value) for each, value in self.valid.items()]
+        found = [(*found_signal(database, each, name), quantity, value) for each, quantity, value in used]
+        parts: dict[tuple[Any, ...], _Part] = {}
+        for message, signal, quantity, value in sorted(found, key=lambda each: not each[1].multiplexer_ids):
+            selects = selection(message, signal) or skipped.get(message.name, [])
+            hosts = [] if selects else [part for key, part in parts.items() if key[0] == message.name]
+            hosts = hosts or [parts.setdefault((message.name, *selects), (message, [], [*selects]))]
+            if quantity:
+                unit = UNITS[role][CHANNELS[role].index(quantity)]
+                hosts[0][1].append(self._field(own[quantity], quantity, signal, unit))
+                continue
+            for _, _, conditions in hosts:
+                conditions.append(_condition(signal, value))
+        return parts.values()
+
+    def _frames(self) -> Iterator[Frame]:
+        for each in self.start:
+            if not _FRAME.fullmatch(each):
+                raise ConfigurationError(
+                    "start: allowed: ID#BYTES in hexadecimal, an identifier of 3 or 8 digits and at most 8 "
+                    f"bytes, given: {each}"
+                )
+            identifier, _, data = each.partition("#")
+            yield Frame(int(identifier, 16), bytes.fromhex(data), EXTENDED * (len(identifier) > _NARROW))
 
     def _database(self, folder: Path) -> tuple[str, str, Any]:
         path = folder / self.file
@@ -127,6 +156,12 @@ class DbcSensor(Timed):
         if self.source_address is not None and message.is_extended_frame:
             identifier = identifier & ~0xFF | self.source_address
         return Message(identifier, message.length, tuple(fields), flags, tuple(conditions))
+
+
+def _condition(signal: Any, value: int) -> Condition:
+    start, bits, _, big = placed(signal)
+    mask = (1 << bits) - 1
+    return Condition(start, bits, value & mask, mask, big)
 
 
 def dbc_text(data: bytes) -> str:

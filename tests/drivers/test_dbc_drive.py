@@ -21,7 +21,9 @@ from tests.drivers.motor_families import GEAR, SINCE_NS, UNIT, Motors, begun, ma
 ROOT = Path(__file__).parents[2]
 DBC = (ROOT / "docs/examples/drives/rmd.dbc").read_text("utf-8")
 VECTORS = json.loads((ROOT / "tests/data/drives/dbc_rmd.json").read_text("utf-8"))["vectors"]
-COMMANDS = [each for each in VECTORS if each["id"] == 321 and each["data"] != "a100000000800000"]
+COMMANDS = [
+    each for each in VECTORS if each["data"].startswith("a1000000") and each["data"] != "a100000000800000"
+]
 PEER: Any = cantools.database.load_string(DBC, "dbc")
 OPTIONS: dict[str, Any] = {
     "dbc": DBC,
@@ -178,6 +180,13 @@ def test_status_of_the_vesc_firmware_is_decoded_to_its_values(vector):
         assert heard.motion == (pytest.approx(vector["tachometer_count"] / 6 / POLES), 0.0)
 
 
+@pytest.mark.parametrize(
+    "vector", of_vesc("STATUS_2") + of_vesc("STATUS_4") + of_vesc("STATUS_6"), ids=lambda v: v["data"]
+)
+def test_status_of_the_vesc_without_position_or_speed_is_no_reading(vector):
+    assert vesc().hear(from_vesc(vector)) is None
+
+
 @pytest.mark.parametrize("vector", of_vesc("SET_CURRENT"), ids=lambda v: v["data"])
 def test_current_command_has_the_bytes_of_the_vesc_firmware(vector):
     protocol = vesc()
@@ -242,6 +251,14 @@ def test_command_of_a_current_has_the_bytes_of_the_maker(vector):
     _, frames = protocol.command(begun(protocol), Command(DriveMode.RUN, force), 13)
     assert frames[1].data.hex() == vector["data"]
     assert [each.id for each in frames[1::2]] == [0x141, 0x142, 0x143, 0x144, 0x145, 0x160]
+
+
+@pytest.mark.parametrize(
+    "vector", [each for each in VECTORS if each["data"][:2] in ("80", "81")], ids=lambda v: v["key"]
+)
+def test_stop_and_shutdown_of_the_maker_disable_the_drive(vector):
+    stop = rmd(disable=vector["data"]).traits.emergency_stop[0]
+    assert stop == Frame(vector["id"], bytes.fromhex(vector["data"]))
 
 
 @pytest.mark.parametrize("angle", [-32768, -1, 0, 359, 32767])

@@ -10,8 +10,8 @@ import pytest
 
 from drivers.config import BusSettings
 from drivers.errors import ConfigurationError
-from drivers.frame_array import received_array
-from drivers.protocol import Received
+from drivers.frame_array import received_array, sent_frames
+from drivers.protocol import Frame, Received
 from drivers.sensing.layout import IMU, INCLINATION, LENGTH, unheard
 from drivers.sensing.settings import SensorSettings
 from drivers.sensors import SensorProtocol
@@ -76,19 +76,69 @@ def test_velocity_increment_with_another_exponent_than_that_of_the_dbc_is_no_sam
     assert count == (v["decoded"]["Exponent"] == 17)
 
 
-@pytest.mark.parametrize("v", of("OptoForce", "data packet"), ids=lambda v: v["what"][-40:])
-def test_second_frame_of_a_packet_under_one_identifier_is_decoded_and_the_first_is_skipped(v):
-    second = v["what"].endswith("frame 2 of 2")
-    for name in ("fx", "fy", "fz"):
+PACKET = 0xAA07080A
+"""Header of the first of two frames under one identifier."""
+
+
+@pytest.mark.parametrize(
+    "v", of("OptoForce", "frame 2 of 2", "wrong checksum"), ids=lambda v: v["what"][-40:]
+)
+def test_packet_of_two_frames_under_one_identifier_is_decoded_with_its_status(v):
+    if v["direction"] == "to_device":
+        return
+    whole = bytes.fromhex(v["decoded"]["whole_packet"])
+    first, second = (frame(v)._replace(data=each) for each in (whole[:8], whole[8:]))
+    assert frame(v) in (first, second)
+    for k, name in enumerate(("fx", "fy", "fz")):
         legs = dict.fromkeys(LEGS, name)
-        settings = by_dbc(
-            "tests/data/optoforce.dbc", legs, units=dict.fromkeys(LEGS, "m"), skip={"Header": 0xAA07080A}
+        keys = {"units": dict.fromkeys(LEGS, "m"), "skip": {"Header": PACKET}}
+        settings = by_dbc("tests/data/optoforce.dbc", legs, **keys)
+        found = heard("lengths", settings, first, second)
+        assert (found.slots["count"][LENGTH], found.record["rejected"]) == (1, 0), "no sum over two frames"
+        counts = v["decoded"].get(
+            f"{name}_counts", int.from_bytes(whole[8 + 2 * k :][:2], "big", signed=True)
         )
-        found = heard("lengths", settings, frame(v))
-        assert bool(found.slots["count"][LENGTH]) == second
-        assert found.record["rejected"] == 0
-        if second:
-            assert found.slots["last"][LENGTH][0] == v["decoded"][f"{name}_counts"]
+        assert found.slots["last"][LENGTH][0] == counts
+        assert heard("lengths", settings, first).slots["count"][LENGTH] == 0
+        settings = by_dbc("tests/data/optoforce.dbc", legs, **keys, valid={"Status": 0})
+        assert heard("lengths", settings, first, second).slots["count"][LENGTH] == (whole[6:8] == b"\0\0")
+        assert heard("lengths", settings, second).slots["count"][LENGTH] == 0, "no status, no sample"
+
+
+MULTIPLEXED = """VERSION ""
+BU_: CONTROLLER
+BO_ 400 AXES: 4 CONTROLLER
+ SG_ Axis M : 0|8@1+ (1,0) [0|0] "" CONTROLLER
+ SG_ RollAngle m0 : 8|16@1- (0.01,0) [0|0] "deg" CONTROLLER
+ SG_ PitchAngle m1 : 8|16@1- (0.01,0) [0|0] "deg" CONTROLLER
+ SG_ Fault : 24|8@1+ (1,0) [0|0] "" CONTROLLER
+"""
+
+
+def test_two_values_of_one_multiplexer_make_one_sample_in_either_order(tmp_path):
+    (tmp_path / "axes.dbc").write_text(MULTIPLEXED)
+    settings = by_dbc(str(tmp_path / "axes.dbc"), {"roll": "RollAngle", "pitch": "PitchAngle"})
+    roll, pitch = Frame(400, b"\x00\x64\x00\x00"), Frame(400, b"\x01\x9c\xff\x00")
+    for frames in ((roll, pitch), (pitch, roll)):
+        found = heard("inclination", settings, *frames)
+        assert found.slots["last"][INCLINATION][:2] == pytest.approx([DEG, -DEG])
+    assert heard("inclination", settings, roll, roll).slots["count"][INCLINATION] == 0
+    settings["device"]["valid"] = {"Fault": 0}
+    faulty = pitch._replace(data=b"\x01\x9c\xff\x07")
+    for frames, count in (((roll, pitch), 1), ((roll, faulty), 0), ((faulty, roll), 0)):
+        assert heard("inclination", settings, *frames).slots["count"][INCLINATION] == count
+    protocol = SensorProtocol(BusSettings(), SensorSettings.model_validate({"inclination": settings}), ROOT)
+    assert len(protocol.cyclic_frames(100)) == 2, "both in the bus budget"
+
+
+def test_frames_that_start_a_sensor_of_six_legs_are_sent_once_and_never_to_a_drive():
+    legs = by_dbc(DATA, {leg: f"L{n}" for n, leg in enumerate(LEGS)}, start=["600#01", "181#02"])
+    protocol = SensorProtocol(BusSettings(), SensorSettings.model_validate({"lengths": legs}), ROOT)
+    frames = [f for n in range(10) for f in sent_frames(protocol.set_up(n, 1000, unheard(protocol.tables)))]
+    assert frames[:2] == [Frame(0x600, b"\1"), Frame(0x181, b"\2")]
+    assert not protocol.starts(1)
+    with pytest.raises(ConfigurationError, match=r"identifier 0x181 is also that of a drive"):
+        protocol.refuse_clashes(drives((1, 2, 3, 4, 5, 6)))
 
 
 def two_roles(rate_Hz: float = 100) -> SensorProtocol:
@@ -140,3 +190,13 @@ def test_signal_beyond_the_bytes_of_its_message_is_refused(tmp_path):
     sensors = SensorSettings.model_validate({"inclination": device})
     with pytest.raises(ConfigurationError, match=r"SlopeLateral of my\.dbc: beyond the 3 bytes"):
         SensorProtocol(BusSettings(), sensors, tmp_path)
+
+
+@pytest.mark.parametrize("quality", [0, 3])
+def test_sensor_status_in_a_separate_message_marks_the_sample_as_invalid(quality):
+    signals = {leg: f"L{n}" for n, leg in enumerate(LEGS)}
+    settings = by_dbc(DATA, signals, valid={"Fault": 0})
+    data, status = Frame(700, b"\x20\x4e" * 4), Frame(702, bytes([quality]))
+    found = heard("lengths", settings, data, status)
+    assert found.slots["count"][LENGTH] == (quality == 0)
+    assert heard("lengths", settings, data).slots["count"][LENGTH] == 0, "no status, no sample"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from drivers.config import BusSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import received_array
 from drivers.protocol import EXTENDED, Frame, Received
+from drivers.sensing.ati import AtiSensor
 from drivers.sensing.canopen import written
 from drivers.sensing.dbc import FACTORS
 from drivers.sensing.layout import FORCE, IMU, INCLINATION, LENGTH, WRENCH, Reception, unheard
@@ -93,6 +95,45 @@ def test_set_up_frames_of_canopen_sensors_equal_those_of_the_python_package_cano
         assert written(inputs["node"], index, inputs["sub"], inputs["value"], size) == frame(v)
 
 
+@pytest.mark.parametrize("v", of("CiA 406", "command 0x22"), ids=lambda v: v["what"])
+def test_download_of_a_manual_without_its_size_has_the_same_object_and_value(v):
+    inputs = v["inputs"]
+    value = inputs.get("value", int.from_bytes(inputs.get("text", "").encode(), "little"))
+    own = written(inputs["node"], int(inputs["index"], 16), inputs["sub"], value, 4)
+    assert own == frame(v)._replace(data=b"\x23" + frame(v).data[1:])
+
+
+NO_SAMPLES = of("CiA 406", "answer") + of("JR3", "boot-up") + of("ATI", "answer", "matrix row")
+
+
+@pytest.mark.parametrize(
+    "v", [v for v in NO_SAMPLES if v["direction"] == "from_device"], ids=lambda v: v["key"]
+)
+def test_other_answers_of_a_sensor_are_neither_samples_nor_refused(v):
+    wrench = ("fx", "fy", "fz", "mx", "my", "mz")
+    role, settings = {
+        "CiA": ("lengths", canopen("cia406", v["id"] & 0x7F, step_m=1e-6)),
+        "JR3": ("wrench", by_dbc(DATA, {name: name.capitalize() for name in wrench})),
+        "ATI": ("wrench", {"device": {"protocol": "ati", "matrix": np.eye(6).tolist()}}),
+    }[v["family"][:3]]
+    found = heard(role, settings, frame(v))
+    assert (found.slots["count"].sum(), found.record["rejected"]) == (0, 0)
+
+
+TO_DEVICE = (
+    of("OptoForce", "configuration") + of("JR3", "start", "get full") + of("ATI") + of("CiA 406", "read")
+)
+
+
+@pytest.mark.parametrize("v", [v for v in TO_DEVICE if v["direction"] == "to_device"], ids=lambda v: v["key"])
+def test_frames_that_start_a_sensor_are_sent_as_stated(v):
+    given = [f"{v['id']:03x}#{v['data']}", f"{0x18FF0000 + v['id']:08X}#01"]
+    settings = by_dbc(f"{EXAMPLES}/cia410.dbc", INCLINED, start=given)
+    sensors = SensorSettings.model_validate({"inclination": settings})
+    own = SensorProtocol(BusSettings(), sensors, ROOT).sensors[INCLINATION].device.start
+    assert own == (frame(v), Frame(0x18FF0000 + v["id"], b"\x01", EXTENDED))
+
+
 @pytest.mark.parametrize(
     ("trigger", "objects"), [("sync", {2: 1}), ("cyclic", {2: 254, 5: 4}), ("change", {2: 255, 3: 40})]
 )
@@ -116,11 +157,12 @@ INCLINED = {"roll": "SlopeLong", "pitch": "SlopeLateral"}
 
 
 @pytest.mark.parametrize("v", of("CiA 410", "resolution 10"), ids=lambda v: v["what"])
-def test_cia410_inclinometer_is_decoded_by_the_dbc_file_of_the_guide(v):
-    if v["decoded"]["resolution_0x6000"] == 10:
-        found = last("inclination", by_dbc(f"{EXAMPLES}/cia410.dbc", INCLINED), INCLINATION, frame(v))
-        expected = [v["decoded"]["long_deg"], v["decoded"]["lateral_deg"]]
-        assert found[:2] == pytest.approx(np.multiply(expected, DEG), abs=1e-12)
+def test_cia410_inclinometer_is_decoded_by_the_dbc_file_of_the_guide(v, tmp_path):
+    text, steps = (ROOT / EXAMPLES / "cia410.dbc").read_text(), 1e-3 * v["decoded"]["resolution_0x6000"]
+    (tmp_path / "own.dbc").write_text(text.replace("(0.01,0)", f"({steps:g},0)"))
+    found = last("inclination", by_dbc(str(tmp_path / "own.dbc"), INCLINED), INCLINATION, frame(v))
+    expected = [v["decoded"]["long_deg"], v["decoded"]["lateral_deg"]]
+    assert found[:2] == pytest.approx(np.multiply(expected, DEG), abs=1e-12)
 
 
 GYRO, ACCEL = ("gyrX", "gyrY", "gyrZ"), ("accX", "accY", "accZ")
@@ -146,18 +188,6 @@ def test_xsens_rate_and_acceleration_frames_are_combined_into_one_imu_sample(hig
     assert found.slots["count"][IMU] == 0, "parts of two samples, 2 ms apart at 500 Hz"
 
 
-@pytest.mark.parametrize("what", ["RateOfTurn ends", "Euler angles"])
-def test_xsens_values_at_the_ends_of_their_range_and_angles_are_decoded(what):
-    (v,) = of("Xsens", what)
-    if "Euler" in what:
-        settings = by_dbc(f"{EXAMPLES}/xsens_mti.dbc", {"roll": "roll", "pitch": "pitch"})
-        expected = [v["decoded"]["roll"] * DEG, v["decoded"]["pitch"] * DEG]
-        assert last("inclination", settings, INCLINATION, frame(v))[:2] == pytest.approx(expected)
-    else:
-        settings = by_dbc(f"{EXAMPLES}/xsens_mti.dbc", dict(zip(("wx", "wy", "wz"), GYRO, strict=True)))
-        assert last("imu", settings, IMU, frame(v))[:3] == pytest.approx([v["decoded"][n] for n in GYRO])
-
-
 @pytest.mark.parametrize("v", of("IMU on J1939"), ids=lambda v: v["what"])
 def test_j1939_imu_frame_is_decoded_by_its_extended_identifier(v):
     file, decoded = f"{EXAMPLES}/j1939_imu.dbc", v["decoded"]
@@ -178,6 +208,10 @@ def test_j1939_imu_frame_is_decoded_by_its_extended_identifier(v):
         assert heard("inclination", settings, other).slots["count"][INCLINATION] == 0
         settings["device"]["source_address"] = 0x21
         assert last("inclination", settings, INCLINATION, other)
+        if "merit" in decoded:
+            settings = by_dbc(file, settings["device"]["signals"], valid={"PitchMerit": 0, "RollMerit": 0})
+            count = heard("inclination", settings, frame(v)).slots["count"][INCLINATION]
+            assert count == (decoded["merit"] == 0), "0 is fully functional"
 
 
 @pytest.mark.parametrize("v", of("IMU by DBC"), ids=lambda v: v["what"])
@@ -190,22 +224,6 @@ def test_big_endian_fields_across_byte_limits_are_decoded_with_their_validity_bi
     assert last("imu", by_dbc(DATA, names), IMU, frame(v))[:3] == pytest.approx(expected)
     valid = by_dbc(DATA, names, valid={f"Inertial{n}PitchRteV": 0})
     assert heard("imu", valid, frame(v)).slots["count"][IMU] == (inputs[f"Inertial{n}PitchRteV"] == 0)
-
-
-@pytest.mark.parametrize("what", ["acceleration m/s^2", "rates", "Euler rad"])
-def test_sbg_imu_values_are_decoded_in_the_units_of_the_dbc(what):
-    for v in of("SBG", what):
-        decoded = list(v["decoded"].values())
-        if "Euler" in what:
-            found = last(
-                "inclination", by_dbc(DATA, {"roll": "ROLL", "pitch": "PITCH"}), INCLINATION, frame(v)
-            )
-            assert found[:2] == pytest.approx(decoded[:2])
-            continue
-        first, unit, at = ("fx", "m/s^2", 3) if "acc" in what else ("wx", "rad/s", 0)
-        names = {first[0] + axis: f"{'ACCEL' if at else 'GYRO'}_{axis.upper()}" for axis in "xyz"}
-        settings = by_dbc(DATA, names, units=dict.fromkeys(names, unit))
-        assert last("imu", settings, IMU, frame(v))[at : at + 3] == pytest.approx(decoded)
 
 
 def test_jr3_force_and_moment_frames_are_combined_into_one_wrench_sample():
@@ -221,15 +239,21 @@ def test_jr3_force_and_moment_frames_are_combined_into_one_wrench_sample():
         )
 
 
+def singles(v: dict[str, Any]) -> tuple[float, ...]:
+    return struct.unpack(">2f", bytes.fromhex(v["data"]))
+
+
 def ati_matrix() -> np.ndarray[Any, Any]:
-    """Rows of the recorded calibration; nan where the row is not among the vectors."""
+    """Rows of the recorded calibration, from their bytes; nan where the row is not among the vectors."""
     matrix = np.full((6, 6), np.nan)
     for v in of("ATI", "matrix row"):
         if "decoded" in v:
-            row = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz").index(v["decoded"]["row"])
-            for name, value in v["decoded"].items():
-                if name != "row":
-                    matrix[row, int(name[2:])] = value
+            row, first = (
+                ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz").index(v["decoded"]["row"]),
+                2 * (v["id"] % 16) - 4,
+            )
+            matrix[row, first : first + 2] = singles(v)
+            assert [v["decoded"][f"sg{first + k}"] for k in range(2)] == list(singles(v))
     return matrix
 
 
@@ -248,6 +272,20 @@ def test_recorded_ati_wrench_samples_are_decoded_although_status_bit_14_is_set()
     bias = [first["decoded"].get(f"sg{k}", second["decoded"].get(f"sg{k}")) for k in range(6)]
     biased = last("wrench", {"device": device | {"bias": bias}}, WRENCH, frame(first), frame(second))
     assert biased == pytest.approx([0.0] * 6, abs=1e-12)
+
+
+def test_recorded_counts_and_units_of_the_ati_sensor_are_the_defaults_and_gauges_are_decoded():
+    ((counts,), (units,)) = of("ATI", "two big endian uint32"), of("ATI", "answer: force N")
+    own = AtiSensor(protocol="ati", matrix=np.eye(6).tolist())
+    assert struct.unpack(">2I", frame(counts).data) == (own.counts_per_N, own.counts_per_N_m)
+    assert (frame(units).data, units["decoded"]["force_unit"]) == (b"\x02\x03", "N")
+    settings = {"device": own.model_dump() | {"counts_per_N": 1, "counts_per_N_m": 1}}
+    packets = {word: of("ATI", f"{word} packet") for word in ("first", "second")}
+    for first in packets["first"]:
+        for second in packets["second"]:
+            gauges = first["decoded"] | second["decoded"]
+            found = last("wrench", settings, WRENCH, frame(first), frame(second))
+            assert found == [gauges[f"sg{k}"] for k in range(6)]
 
 
 def test_ati_sample_with_status_bit_15_or_only_one_of_its_frames_gives_no_wrench():
@@ -307,6 +345,10 @@ def test_multiplexed_dbc_signal_is_decoded_only_with_its_selector_value():
         ({"signals": {}}, "incomplete, missing: roll, pitch"),
         ({"signals": {"roll": "Slope"}}, "Slope of cia410.dbc: unknown"),
         ({"signals": {"roll": "SlopeLong"}, "units": {"roll": "N"}}, "roll: .*'N'.*allowed: rad"),
+        ({"file": f"{EXAMPLES}/xsens_mti.dbc", "signals": {"roll": "Q1"}}, "states no unit for signal Q1"),
+        ({"signals": INCLINED, "start": ["1234#01"]}, r"start: .*ID#BYTES.*given: 1234#01"),
+        ({"signals": INCLINED, "start": ["101#0"]}, r"start: .*ID#BYTES"),
+        ({"signals": INCLINED, "start": ["901#00"]}, r"start: .*ID#BYTES"),
         ({"file": DATA, "signals": {"roll": "NoUnit"}}, "the DBC states no unit for signal NoUnit"),
         ({"file": "tests/data/README.md", "signals": {"roll": "x"}}, "README.md is not a DBC"),
     ],
@@ -317,16 +359,6 @@ def test_incomplete_mapping_of_dbc_signals_to_a_sensor_is_refused_in_one_line(de
     with pytest.raises(ConfigurationError, match=rf"sensors\.inclination\.device\..*{message}") as raised:
         SensorProtocol(BusSettings(), sensors, ROOT)
     assert "\n" not in str(raised.value)
-
-
-@pytest.mark.parametrize("quality", [0, 3])
-def test_sensor_status_in_a_separate_message_marks_the_sample_as_invalid(quality):
-    signals = {leg: f"L{n}" for n, leg in enumerate(LEGS)}
-    settings = by_dbc(DATA, signals, valid={"Fault": 0})
-    data, status = Frame(700, b"\x20\x4e" * 4), Frame(702, bytes([quality]))
-    found = heard("lengths", settings, data, status)
-    assert found.slots["count"][LENGTH] == (quality == 0)
-    assert heard("lengths", settings, data).slots["count"][LENGTH] == 0, "no status, no sample"
 
 
 @pytest.mark.parametrize(

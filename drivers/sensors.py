@@ -287,10 +287,11 @@ def _sensors(role: str, settings: SensorRole, bus: BusSettings, folder: Path) ->
             device = settings.device.device(wanted)
         except HilError as error:
             raise ConfigurationError(f"sensors.{role}.device.{error}") from error
-        if there.interface == UDP and not isinstance(settings.device, MotionCapture):
+        if (there.interface == UDP) != isinstance(settings.device, MotionCapture):
             raise ConfigurationError(
-                f"sensors.{role}.channel: protocol {settings.device.protocol} on interface {UDP}, allowed "
-                "there: a tracker of protocol mocap"
+                f"sensors.{role}.channel: protocol {settings.device.protocol} on interface "
+                f"{there.interface}, allowed: mocap on interface {UDP}, an entry of bus.channels without "
+                "legs; every other protocol on CAN"
             )
         longest = max(device.messages, key=lambda each: each.flags & FD)
         if longest.flags & FD and there.layout == "classic":

@@ -17,7 +17,7 @@ from drivers.compiled.pointed import Callee, data_at
 from drivers.config import BusSettings, DriveSettings
 from drivers.frame_array import FRAME, joined, received_array
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
+from drivers.protocol import BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.sensing.layout import SYNCED, Reception, unheard
 from drivers.sensing.settings import SensorSettings
 from drivers.sensors import SensorProtocol
@@ -98,11 +98,17 @@ class SensorContract:
     """Largest error of a value by the steps of its field."""
     FOLDER = Path()
     """Folder at which the paths of the device start."""
+    BUS = BusSettings()
+    """Section `bus`, with the channel of the sensor."""
 
     @pytest.fixture
     def protocol(self) -> SensorProtocol:
         sensors = SensorSettings.model_validate({self.ROLE: self.SETTINGS})
-        return SensorProtocol(BusSettings(), sensors, self.FOLDER)
+        return SensorProtocol(self.BUS, sensors, self.FOLDER)
+
+    def carried(self, frames: Rows) -> Rows:
+        """Frames of the emulated device as the controller's end of a link receives them, at the same times."""
+        return frames
 
     def run(self, protocol: SensorProtocol, ticks: int = 300, *, starts: bool = True, **errors: Any) -> Any:
         """Samples (tick, instant s, values) of the first slot, frames by tick, and refused frames."""
@@ -129,11 +135,11 @@ class SensorContract:
                 sent = np.concatenate((sent, protocol.set_up(tick, RATE_Hz, heard)))
             sent["t_ns"] = t_ns
             replies = joined([nodes.advance(t_ns, sent), nodes.advance(t_ns + MS - 1, sent[:0])])
-            got, late = _split(joined([late, replies]), t_ns + MS)
-            ours = got[np.isin(got["id"], protocol.tables.rows["id"])]
-            hear_frames(heard, ours, tick, t_ns)
+            ours = np.isin(replies["id"], protocol.tables.rows["id"])
+            got, late = _split(joined([late, self.carried(replies[ours])]), t_ns + MS)
+            hear_frames(heard, got, tick, t_ns)
             rejected += int(heard.record["rejected"])
-            frames.append(ours)
+            frames.append(got)
             for k in range(int(heard.slots["count"][slot])):
                 sample = heard.samples[slot, k]
                 at_s = 1e-3 * int(sample["tick"]) + float(sample["offset_s"])
@@ -181,7 +187,11 @@ class SensorContract:
             broken = [
                 Received(
                     tick * MS + k,
-                    Frame(int(row["id"]), chance.bytes(int(chance.integers(0, 65))), int(row["flags"])),
+                    Frame(
+                        int(row["id"]),
+                        chance.bytes(int(chance.integers(0, 65))),
+                        int(row["flags"] + BUS * row["bus"]),
+                    ),
                 )
                 for k, row in enumerate(table)
             ]

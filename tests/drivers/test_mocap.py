@@ -7,12 +7,13 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from drivers.arrays import Rows
 from drivers.can.bus import Bus
 from drivers.can.udp import BATCH, Udp
 from drivers.clock import MONOTONIC
@@ -39,26 +40,52 @@ BYTES = (
 float32; without the CRC."""
 
 
+HERE = "127.0.0.1:45701"
+TRACKED = {"channel": HERE, "interface": "udp", "options": {"source": "127.0.0.1"}}
+
+
+def channels(*entries: dict[str, Any]) -> BusSettings:
+    return BusSettings.model_validate(
+        {"channels": [{"channel": "mocap-test", "legs": [*range(6)]}, *entries]}
+    )
+
+
 class TestMotionCapture(SensorContract):
+    """Each datagram goes through the kernel, by loopback."""
+
     ROLE = "tracker"
-    SETTINGS = {"rate_Hz": 250, "device": DEVICE}
+    SETTINGS: ClassVar[dict[str, Any]] = {"rate_Hz": 250, "channel": HERE, "device": DEVICE}
     RESOLUTION = 1e-6
+    BUS = channels(TRACKED)
+
+    @pytest.fixture(autouse=True)
+    def _link(self) -> Iterator[None]:
+        self._ends = Udp(settings(), "plant"), Udp(settings(), "controller")
+        yield
+        for end in self._ends:
+            end.close()
+
+    def carried(self, frames: Rows) -> Rows:
+        sender, receiver = self._ends
+        assert sender.send(frames) == len(frames)
+        received = receiver.receive().copy()
+        received["t_ns"], received["bus"] = frames["t_ns"], 1
+        return received
 
 
-class TestMotionCaptureWithoutStamps(SensorContract):
-    ROLE = "tracker"
-    SETTINGS = {"rate_Hz": 250, "device": DEVICE | {"stamps": False}}
-    RESOLUTION = 1e-6
+class TestMotionCaptureWithoutStamps(TestMotionCapture):
+    SETTINGS: ClassVar[dict[str, Any]] = TestMotionCapture.SETTINGS | {"device": DEVICE | {"stamps": False}}
 
 
 def reception(**device: Any) -> Reception:
-    sensors = SensorSettings.model_validate({"tracker": {"rate_Hz": 200, "device": DEVICE | device}})
-    return unheard(SensorProtocol(BusSettings(), sensors).tables)
+    tracker = {"rate_Hz": 200, "channel": HERE, "device": DEVICE | device}
+    sensors = SensorSettings.model_validate({"tracker": tracker})
+    return unheard(SensorProtocol(channels(TRACKED), sensors).tables)
 
 
 def hear(heard: Reception, data: bytes, tick: int = 20, after_ns: int = 0) -> tuple[int, int]:
     """Samples and refused frames of a tick in which these bytes arrive."""
-    frame = Received(tick * MS + after_ns, Frame(POSE_ID, data, FD))
+    frame = Received(tick * MS + after_ns, Frame(POSE_ID, data, FD + BUS))
     hear_frames(heard, received_array([frame]), tick, tick * MS)
     return int(heard.slots["count"][TRACKER]), int(heard.record["rejected"])
 
@@ -136,13 +163,9 @@ def test_clock_of_the_sender_may_be_set_back_during_a_run():
     assert np.abs(errors[1400:]).max() < 0.5e-3, "2 s later"
 
 
-HERE = "127.0.0.1:45701"
-
-
 def settings(channel: str = HERE, **options: Any) -> BusSettings:
-    return BusSettings(interface="localcan", channel="x", channels=[]).model_copy(
-        update={"interface": "udp", "channel": channel, "options": options or {"source": "127.0.0.1"}}
-    )
+    own = {"channel": channel, "options": options or TRACKED["options"]}
+    return channels(TRACKED | own).buses[1]
 
 
 @pytest.fixture
@@ -215,15 +238,6 @@ def test_address_that_is_none_or_not_of_this_machine_is_refused(channel, options
         Udp(settings(channel, **options), "controller")
 
 
-def channels(*entries: dict[str, Any]) -> BusSettings:
-    return BusSettings.model_validate(
-        {"channels": [{"channel": "mocap-test", "legs": [*range(6)]}, *entries]}
-    )
-
-
-TRACKED = {"channel": HERE, "interface": "udp", "options": {"source": "127.0.0.1"}}
-
-
 def test_plant_and_controller_exchange_poses_over_loopback_beside_localcan():
     bus = channels(TRACKED)
     with Bus.open(bus, "controller") as controller, Bus.open(bus, "plant") as plant:
@@ -234,9 +248,11 @@ def test_plant_and_controller_exchange_poses_over_loopback_beside_localcan():
         assert abs(int(frame["t_ns"]) - controller.clock.now()) < 50 * MS, "one clock"
 
 
-def test_other_sensors_and_legs_on_the_interface_are_refused():
+def test_other_sensors_and_legs_on_udp_and_motion_capture_on_can_are_refused():
     with pytest.raises(ConfigurationError, match=r"sensors.imu.channel.*mocap"):
         SensorProtocol(channels(TRACKED), SensorSettings.model_validate({"imu": {"channel": HERE}}))
+    with pytest.raises(ConfigurationError, match=r"sensors.tracker.channel.*mocap on interface localcan"):
+        SensorProtocol(channels(TRACKED), SensorSettings.model_validate({"tracker": {"device": DEVICE}}))
     with pytest.raises(ConfigurationError, match="interface udp"):
         changed("desktop", bus={"interface": "udp", "channel": HERE, "options": TRACKED["options"]})
 

@@ -40,7 +40,13 @@ BYTES = (
 float32; without the CRC."""
 
 
-HERE = "127.0.0.1:45701"
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+HERE = f"127.0.0.1:{free_port()}"
 TRACKED = {"channel": HERE, "interface": "udp", "options": {"source": "127.0.0.1"}}
 
 
@@ -228,8 +234,8 @@ def test_flood_takes_a_look_no_longer_than_a_batch(link):
         ("0.0.0.0:5005", {"source": "10.0.0.1"}),
         ("127.0.0.1", {"source": "10.0.0.1"}),
         ("127.0.0.1:70000", {"source": "10.0.0.1"}),
-        (HERE, {"source": "0.0.0.0"}),
-        (HERE, {"spin_us": 5}),
+        ("127.0.0.1:5005", {"source": "0.0.0.0"}),
+        ("127.0.0.1:5005", {"spin_us": 5}),
         ("203.0.113.5:5005", {"source": "10.0.0.1"}),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from typing import Any
 
 import numpy as np
@@ -13,14 +12,9 @@ from hil.app.configuration.configuration import load
 from hil.app.run.command import run_daemon
 from hil.app.sim.command import simulate
 from hil.record.log import Log
+from tests.drivers.test_mocap import free_port
 from tests.loop.bench import changed
 from tests.loop.test_sensor_families import SHORT
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def tracked(**plant: Any) -> Any:

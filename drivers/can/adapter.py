@@ -1,25 +1,20 @@
 """A CAN adapter as the kernel describes it: driver and hardware, echo of sent frames, time stamps.
 
-Layouts and constants follow linux/net_tstamp.h and linux/if.h; sysfs paths follow its ABI documents.
+Constants follow linux/if.h; sysfs paths follow its ABI documents.
 """
 
 import socket
-import struct
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from drivers.can import netlink
 from drivers.can.can_interface import parse
+from drivers.can.hardware_stamps import SO_TIMESTAMPING, WANTED, stamps_of
 from drivers.config import BusSettings
 
 IFF_ECHO = 1 << 18
 """Flag of an interface whose driver returns a sent frame when the wire has taken it."""
-_SO_TIMESTAMPING = 37
-_WANTED = 1 << 2 | 1 << 3 | 1 << 4 | 1 << 6
-"""SOF_TIMESTAMPING_RX_HARDWARE, RX_SOFTWARE, SOFTWARE and RAW_HARDWARE."""
-_THREE = struct.Struct("=6q")
-"""struct scm_timestamping: software, unused, hardware; each is seconds and nanoseconds."""
 
 
 def identity(bus: BusSettings, root: Path = Path("/")) -> str:
@@ -58,13 +53,10 @@ def echoes(bus: BusSettings) -> bool:
 def time_stamps(channel: str, send: Callable[[], object]) -> list[str]:
     """Time stamps of the kernel, `software`, `hardware`, for a frame that `send` sends to a channel."""
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw, suppress(OSError):
-        raw.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, _WANTED)
+        raw.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPING, WANTED)
         raw.settimeout(0.1)
         raw.bind((channel,))
         send()
-        for _, kind, value in raw.recvmsg(16, 256)[1]:
-            if kind == _SO_TIMESTAMPING:
-                words = _THREE.unpack(value[: _THREE.size])
-                pairs = (("software", words[:2]), ("hardware", words[4:]))
-                return [name for name, pair in pairs if any(pair)]
+        stamps = zip(("software", "hardware"), stamps_of(raw.recvmsg(16, 256)[1]), strict=True)
+        return [name for name, ns in stamps if ns]
     return []

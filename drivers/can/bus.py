@@ -16,6 +16,7 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.can.bus_time import BitTiming
 from drivers.can.can_interface import RESTART_MS
+from drivers.can.hardware_stamps import HARDWARE_STAMPS
 from drivers.can.link import Link, Source, collect
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.can.localcan.participant import LOOK_S, Participant
@@ -280,7 +281,7 @@ class Bus(Source):
 def _open(settings: BusSettings, clock: BenchClock | None) -> Link:
     interface = settings.interface
     options: dict[str, Any] = settings.options
-    known = {"localcan": ("spin_us", "tx_limit"), "socketcan": (RESTART_MS,)}.get(interface)
+    known = {"localcan": ("spin_us", "tx_limit"), "socketcan": (RESTART_MS, HARDWARE_STAMPS)}.get(interface)
     if known is None:
         return open_python_can(settings)
     if unknown := sorted(set(options) - set(known)):

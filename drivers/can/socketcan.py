@@ -17,6 +17,15 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.can import netlink
 from drivers.can.can_interface import FD_MTU, CanInterface, parse, read_error, refusal
+from drivers.can.hardware_stamps import (
+    HARDWARE,
+    SO_TIMESTAMPING,
+    SO_TIMESTAMPNS,
+    WANTED,
+    ControllerClock,
+    stamped_by,
+    stamps_of,
+)
 from drivers.can.link import Link
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
@@ -27,15 +36,15 @@ from drivers.signals import BusState
 
 _CLASSIC = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
-_TIMESPEC = struct.Struct("=qq")
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
-_SO_TIMESTAMPNS, _SO_RXQ_OVFL, _SO_MEMINFO = 35, 40, 55
+_SO_RXQ_OVFL, _SO_MEMINFO = 40, 55
 _WMEM = struct.Struct("=8xI")
 """Start of SO_MEMINFO, up to SK_MEMINFO_WMEM_ALLOC."""
 _SOL_CAN_RAW, _RAW_ERR_FILTER, _RAW_FD_FRAMES, _ERR_MASK = 101, 2, 5, 0x1FFFFFFF
 _DOWN = frozenset({errno.ENETDOWN, errno.ENXIO, errno.ENODEV})
 """Errors of an interface that is down or gone."""
-_BATCH = 512
+_BATCH, _ANCILLARY = 512, 128
+"""Frames of one look; bytes of the ancillary data of one."""
 _RECEIVE_BUFFER = 1 << 20
 _FLUSH_S = 0.05
 STUCK_NS = 50_000_000
@@ -55,9 +64,9 @@ class SocketCan(Link):
 
     Mutable state: the socket; `overflow` (frames lost so far in the kernel or the controller); whether the
     interface is down or missing, could not be cleared, or differs from the configuration; whether the
-    controller is bus-off, and its worst state since the last query; since when own frames wait; and the times
-    at which the kernel accepted the last frames. Raises BusError if the kernel has no CAN, or the channel is
-    missing, down, or differs from the section `bus`.
+    controller is bus-off, and its worst state since the last query; since when own frames wait; the times at
+    which the kernel accepted the last frames; the controller's clock. Raises BusError if the kernel has no
+    CAN, or the channel is missing, down, or differs from the section `bus`.
     """
 
     clock = MONOTONIC
@@ -68,6 +77,8 @@ class SocketCan(Link):
         self._down = self._refused = self._bus_off = self._stuck = self._dropped = False
         self._kernel_lost = self._looked_ns = self._waited = self._waiting_since = 0
         self._taken_ns = []
+        self._clock = ControllerClock()
+        self._stamped_by = stamped_by(settings)
         self._socket, self._interface = self._open()
         self._state = self._worst = self._interface.state
         self.virtual = self._interface.kind in _NO_WIRE
@@ -76,7 +87,10 @@ class SocketCan(Link):
     def facts(self) -> str:
         """Bit rates, options and state of the interface, one line of text."""
         stale = "; without CAP_NET_ADMIN frames that wait on a dead bus stay in its queue"
-        return f"bus socketcan:{self._interface.facts}{'' if netlink.administers() else stale}"
+        return (
+            f"bus socketcan:{self._interface.facts}; time stamps of {self._stamped_by}"
+            f"{'' if netlink.administers() else stale}"
+        )
 
     def _open(self) -> tuple[socket.socket, CanInterface]:
         channel = self.channel
@@ -95,9 +109,11 @@ class SocketCan(Link):
             sock.setsockopt(_SOL_CAN_RAW, _RAW_ERR_FILTER, _ERR_MASK)
             # the kernel grants what net.core.rmem_max allows
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
-                sock.setsockopt(socket.SOL_SOCKET, option, 1)
+            stamps = (SO_TIMESTAMPING, WANTED) if self._stamped_by == HARDWARE else (SO_TIMESTAMPNS, 1)
+            for option, value in (stamps, (_SO_RXQ_OVFL, 1)):
+                sock.setsockopt(socket.SOL_SOCKET, option, value)
             sock.bind((channel,))
+            self._clock.forget()
         except BaseException as error:
             sock.close()
             if not isinstance(error, OSError):
@@ -200,13 +216,14 @@ class SocketCan(Link):
         real_to_monotonic = _real_to_monotonic()
         for _ in range(_BATCH):
             try:
-                raw, ancillary, _, _ = self._socket.recvmsg(FD_MTU, 64)
+                raw, ancillary, _, _ = self._socket.recvmsg(FD_MTU, _ANCILLARY)
             except BlockingIOError:
                 break
             except OSError:
                 self._down = True
                 break
-            t_ns = arrival(ancillary)
+            arrived_ns, stamp_ns = stamps_of(ancillary)
+            t_ns = self._clock.taken_ns((arrived_ns or time.time_ns()) + real_to_monotonic, stamp_ns)
             for _, kind, value in ancillary:
                 if kind == _SO_RXQ_OVFL:
                     lost = int.from_bytes(value[:4], sys.byteorder)
@@ -220,13 +237,14 @@ class SocketCan(Link):
                 if self._bus_off and not self._interface.has_controller:
                     # a virtual interface never says that it was restarted
                     self._bus_off, self._state = False, BusState.UNKNOWN
-            received += frame_bytes(t_ns + real_to_monotonic, identifier, RECEIVED, len(data), flags, data)
+            received += frame_bytes(t_ns, identifier, RECEIVED, len(data), flags, data)
         return np.frombuffer(received, FRAME)
 
     def _note(self, identifier: int, data: bytes) -> None:
         state, lost = read_error(identifier, data)
         self.overflow += lost
         if state is not BusState.UNKNOWN:
+            self._clock.forget()
             self._state, self._worst = state, max(self._worst, state)
             self._bus_off = state is BusState.OFF
 
@@ -291,15 +309,6 @@ class SocketCan(Link):
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
-
-
-def arrival(ancillary: list[tuple[int, int, bytes]]) -> int:
-    """Time stamp of the kernel in the ancillary data of a message, else the present; ns of CLOCK_REALTIME."""
-    for _, kind, value in ancillary:
-        if kind == _SO_TIMESTAMPNS:
-            seconds, nanoseconds = _TIMESPEC.unpack(value[:16])
-            return int(seconds * 1_000_000_000 + nanoseconds)
-    return time.time_ns()
 
 
 def _real_to_monotonic() -> int:

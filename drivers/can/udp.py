@@ -14,8 +14,8 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 
 from drivers.arrays import Rows
+from drivers.can.hardware_stamps import SO_TIMESTAMPNS, stamps_of
 from drivers.can.link import Link
-from drivers.can.socketcan import arrival
 from drivers.clock import MONOTONIC
 from drivers.config import DATAGRAM_BYTES, POSE_ID, UDP, BusSettings
 from drivers.errors import BusError
@@ -24,7 +24,6 @@ from drivers.protocol import FD
 
 BATCH = 8
 """Most datagrams of one look; further ones stay in the kernel, whose buffer drops what does not fit."""
-_SO_TIMESTAMPNS = 35
 
 
 class Udp(Link):
@@ -44,7 +43,7 @@ class Udp(Link):
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
             self._socket.bind(here)
         except OSError as error:
             self._socket.close()
@@ -75,7 +74,8 @@ class Udp(Link):
                 data, ancillary, _, (host, _) = self._socket.recvmsg(DATAGRAM_BYTES + 1, 64)
             except OSError:
                 break
-            waited_ns = max(0, time.time_ns() - arrival(ancillary))
+            now_ns = time.time_ns()
+            waited_ns = max(0, now_ns - (stamps_of(ancillary)[0] or now_ns))
             fits = len(data) == DATAGRAM_BYTES and host == self._source
             data = data if fits else b""
             t_ns = self.clock.now() - waited_ns

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from drivers.can import netlink
+from drivers.can.adapter import time_stamps
 from drivers.can.link import collect
 from drivers.can.socketcan import SocketCan
 from drivers.config import BusSettings
@@ -244,6 +245,19 @@ def can_controller_states_are_followed_to_bus_off_and_back() -> None:
         adapter.close()
 
 
+def virtual_interface_has_the_time_stamps_of_the_kernel() -> None:
+    of = settings(options={"hardware_stamps": True})
+    with kernel.pair(NEAR, FAR), kernel.raw_socket(FAR) as far, opened(of) as can:
+        assert "time stamps of the kernel: the driver gives no others" in can.facts
+        before = time.monotonic_ns()
+        far.send(kernel.FRAME.pack(0x300, 0, b""))
+        time.sleep(0.1)
+        (frame,) = received_frames(can.receive())
+        assert -1_000_000 < frame.t_ns - before < 50_000_000, frame.t_ns - before
+        stamps = time_stamps(FAR, lambda: can.send(sent_array([NEW])))
+        assert stamps == ["software"], stamps
+
+
 CASES = {
     function.__name__: function
     for function in (
@@ -256,6 +270,7 @@ CASES = {
         can_fd_flags_are_sent_and_received,
         corrupted_frames_affect_no_other_frames,
         adapter_at_another_bit_rate_is_refused,
+        virtual_interface_has_the_time_stamps_of_the_kernel,
         can_controller_states_are_followed_to_bus_off_and_back,
     )
 }

@@ -21,6 +21,7 @@ from drivers.can.adapter import echoes, identity, time_stamps
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.can_interface import parse
+from drivers.can.hardware_stamps import by_arrival
 from drivers.config import BusSettings
 from drivers.errors import BusError, ConfigurationError, RunError
 from drivers.frame_array import sent_array
@@ -249,7 +250,8 @@ def _listened(c: Configuration) -> list[Frame]:
 def _measured(
     c: Configuration, index: int, other: BusSettings, duration_s: float, tell: Callable[[int, int], None]
 ) -> Qualification:
-    bus, rate = c.bus.buses[index], c.loop.rate_Hz
+    bus, other = by_arrival(c.bus.buses[index]), by_arrival(other)
+    rate = c.loop.rate_Hz
     kernel, ticks = bus.interface == "socketcan", max(round(duration_s * rate), 1)
     cyclic = build_protocol(c).traits.cyclic_frames
     wide = max(f.flags & EXTENDED for f in cyclic)  # for all frames: a moteus may listen to 11 bits

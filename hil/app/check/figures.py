@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from drivers.can.hardware_stamps import stamped_by
 from drivers.config import UDP
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
@@ -58,6 +59,8 @@ def bus(r: Report) -> None:
             found.append({"load_percent": 0.0})
             r.add(title, "datagrams: no bus time")
             continue
+        if each.interface == "socketcan":
+            r.add(title, f"time stamps of {stamped_by(each)}")
         figures = {
             "load_percent": budget.load_percent,
             "total_us": budget.total_ns / 1e3,

@@ -106,7 +106,8 @@ def compare(k: Any, sensors: Any, mode: int, fusing: int, tick: Any) -> int:
         age_s = age_of(of, tick.tick, k.period_s)
         gap[:] = 0.0
         rate[:] = 0.0
-        if of.count > 0 and difference(tick, slot, of.last, age_s, gap, rate):
+        free = slot < FORCE or Mode.APPROACH <= mode <= Mode.STOPPING  # a shut brake carries the load
+        if of.count > 0 and free and difference(tick, slot, of.last, age_s, gap, rate):
             of.compared += 1
             of.share = nan
             for j in range(QUANTITIES):

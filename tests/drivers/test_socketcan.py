@@ -251,6 +251,8 @@ def test_frame_without_hardware_stamp_has_its_arrival_and_a_restart_compares_ane
     sock.hears(RESTARTED, hardware_ns=0)
     can.receive()
     assert errors_us(can, sock, [2000.0])[0] == pytest.approx(2000)
+    sock.hears(0x80, t_ns=NOW_NS, hardware_ns=BOOTED_NS - 20_000_000)
+    assert got(can.receive())[0].t_ns == 7 * SECOND, "a clock that was set back"
 
 
 @pytest.mark.parametrize("value", ["yes", 1])

@@ -27,15 +27,28 @@ INCLINATION: dict[str, Any] = {
         "latency_ms": 5,
     },
 }
+CELLS: dict[str, Any] = {
+    "rate_Hz": 100,
+    "channel": "cells0",
+    "std_N": 20,
+    "node_ids": [*range(21, 27)],
+    "device": {"protocol": "cia404", "format": "float32"},
+}
 NOISE: dict[str, Any] = {"tracker": {"latency_ms": 5}, "inclination": {"latency_ms": 5}}
 AT: dict[str, Any] = {"at_s": 0.4, "mode": "TRACKING"}
 
 
+OURS = ("tracker", "imu", "inclination", *(f"force_{leg}" for leg in range(6)))
+
+
 def bench(**noise: Any) -> Configuration:
-    """`virtual` with a tracker, an IMU and an inclinometer that nothing fuses."""
+    """`virtual` with a tracker, an IMU, an inclinometer and load cells that nothing fuses."""
     sensors = {"tracker": {"rate_Hz": 200}, "imu": {"rate_Hz": 200}, "inclination": INCLINATION}
+    sensors["forces"] = CELLS
     plant = SOON["plant"] | {"sensors": NOISE | noise}
-    return changed("virtual", **SOON | {"sensors": sensors, "plant": plant, "bus": {"max_load_percent": 90}})
+    buses = [{"channel": "hil0", "legs": [*range(6)]}, {"channel": "cells0", "layout": "classic"}]
+    bus = {"max_load_percent": 90, "channels": buses}
+    return changed("virtual", **SOON | {"sensors": sensors, "plant": plant, "bus": bus})
 
 
 def ticks(c: Configuration, *faults: PlantFault) -> tuple[Rows, Mode]:
@@ -59,7 +72,7 @@ def test_good_sensors_differ_from_the_legs_by_a_fraction_of_the_alarm_limits_in_
     assert mode is Mode.PARKED
     moving = rows[rows["mode"] == Mode.TRACKING]
     assert np.abs(moving["twist"]).max() > 0.5
-    for sensor in ("tracker", "imu", "inclination"):
+    for sensor in OURS:
         assert 0.0 < np.nanmax(share(moving, sensor)) < 0.7, sensor
     assert np.isnan(share(rows, "wrench")).all()
     assert not len(warned(rows))
@@ -73,6 +86,8 @@ def test_good_sensors_differ_from_the_legs_by_a_fraction_of_the_alarm_limits_in_
         ("imu", kinds.SensorOffset(sensor="imu", axis=2, by=0.5, **AT), 0.3),
         ("inclination", kinds.SensorOffset(sensor="inclination", axis=0, by=0.02, **AT), 0.4),
         ("inclination", kinds.SensorOffset(sensor="inclination", axis=1, by=-0.02, **AT), 0.4),
+        ("force_2", kinds.SensorOffset(sensor="force_2", axis=0, by=400.0, **AT), 0.3),
+        ("force_2", kinds.SensorLost(sensor="force_2", **AT), 0.1),
         ("tracker", kinds.SensorFrozen(sensor="tracker", **AT), 0.5),
         ("tracker", kinds.SensorLost(sensor="tracker", **AT), 0.05),
         ("inclination", kinds.SensorLost(sensor="inclination", **AT), 0.1),
@@ -84,6 +99,6 @@ def test_sensor_that_contradicts_the_leg_lengths_or_is_silent_causes_a_warning(s
     first = warned(rows)[0]
     begin = rows["tick"][np.argmax(rows["mode"] == Mode.TRACKING)] + 400
     assert 0 <= first["tick"] - begin <= 1e3 * within_s
-    others = [each for each in ("tracker", "imu", "inclination") if each != sensor]
+    others = [each for each in OURS if each != sensor]
     assert first["sensor_share"][SENSORS.index(sensor)] > 1.0
     assert not any((share(rows, each) > 1.0).any() for each in others)

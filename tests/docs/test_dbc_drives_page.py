@@ -13,6 +13,7 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
+from hil.lab.bringup.command import run_bringup
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 EXAMPLE, TIMED = (DOCS / f"examples/drives/{name}.yaml" for name in ("rmd", "vesc"))
@@ -38,6 +39,22 @@ def test_example_runs_and_its_log_is_replayed_without_the_files(example, tmp_pat
     for file in folder.iterdir():
         file.unlink()
     assert replay_log(log)[0].exact
+
+
+@pytest.mark.parametrize(
+    ("example", "mistakes", "found"),
+    [(EXAMPLE, [], []), (TIMED, [], []), (TIMED, ["force_sign leg=2"], ["force_sign"])],
+)
+def test_bring_up_of_an_example_finds_mistakes_and_leaves_the_delay_unproven(
+    example, mistakes, found, tmp_path
+):
+    for file in (example, example.with_suffix(".dbc")):
+        copy(file, tmp_path)
+    name, log = str(tmp_path / example.name), tmp_path / "run.mcap"
+    summary = run_bringup(name, load(name), mistakes=mistakes, yes=True, say=lambda _: None, log=log)
+    assert [each.partition(":")[0] for each in summary["findings"]] == found
+    assert summary["success"] == (not found)
+    assert found or "position has steps of 0." in summary["not_provable"][1]
 
 
 def test_bus_budget_counts_the_messages_of_a_timer_that_a_tick_may_have():

@@ -25,6 +25,7 @@ from drivers.sensing.dbc import (
     DRIVES_DBC,
     bits_of,
     found_signal,
+    frame_of,
     parsed_dbc,
     placed,
     refers,
@@ -271,12 +272,9 @@ class DbcProtocol(MotorProtocol):
         if key not in self._given:
             return None
         text, wide = str(self._given[key]), 8 if command.is_extended_frame else 3
-        identifier, own, data = text.rpartition("#")
-        try:
-            found = Frame(int(identifier, 16) if own else command.frame_id, bytes.fromhex(data), self.flags)
-        except ValueError:
-            found = Frame(0, bytes(9))
-        if len(found.data) > 8 or (len(identifier) != wide if own else len(found.data) != command.length):
+        own = "#" in text
+        found = frame_of(text if own else f"{command.frame_id:0{wide}X}#{text}")
+        if found is None or found.flags != self.flags or not (own or len(found.data) == command.length):
             raise ConfigurationError(
                 f"drives.options: {key}: allowed: {command.length} bytes in hexadecimal, in quotes, or "
                 f"ID#BYTES with an identifier of {wide} digits, given: {text}"

@@ -287,6 +287,8 @@ def _open(settings: BusSettings, clock: BenchClock | None) -> Link:
     if unknown := sorted(set(options) - set(known)):
         allowed = ", ".join(known)
         raise BusError(f"bus.options: {', '.join(unknown)} unknown for {interface}; allowed: {allowed}")
+    if not isinstance(options.get(HARDWARE_STAMPS, False), bool):
+        raise BusError(f"bus.options.{HARDWARE_STAMPS}: true or false is allowed")
     if interface == "socketcan":
         return SocketCan(settings)
     for key, value in options.items():

@@ -1,7 +1,7 @@
 """Any sensor whose frames a DBC describes, by the names of its signals."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -29,6 +29,7 @@ FACTORS: dict[str, dict[str, float]] = {
 }
 """SI unit -> units that a DBC may state, each with its factor."""
 _FRAME = re.compile("([0-7][0-9A-F]{2}|[01][0-9A-F]{7})#([0-9A-F]{2}){0,8}", re.IGNORECASE)
+FRAME_FORM = "ID#BYTES in hexadecimal, an identifier of 3 or 8 digits and at most 8 bytes"
 _NARROW = 3
 """Digits of an identifier of 11 bits."""
 _LONGEST = 56
@@ -88,7 +89,7 @@ class DbcSensor(Timed):
         return self.timed(
             self.trigger,
             messages=tuple(self._message(*each) for each in self._parts(role, own, database, name)),
-            start=tuple(self._frames()),
+            start=tuple(self._start(each) for each in self.start),
             database=text,
         )
 
@@ -114,15 +115,10 @@ class DbcSensor(Timed):
                 conditions.append(_condition(signal, value))
         return parts.values()
 
-    def _frames(self) -> Iterator[Frame]:
-        for each in self.start:
-            if not _FRAME.fullmatch(each):
-                raise ConfigurationError(
-                    "start: allowed: ID#BYTES in hexadecimal, an identifier of 3 or 8 digits and at most 8 "
-                    f"bytes, given: {each}"
-                )
-            identifier, _, data = each.partition("#")
-            yield Frame(int(identifier, 16), bytes.fromhex(data), EXTENDED * (len(identifier) > _NARROW))
+    def _start(self, text: str) -> Frame:
+        if (frame := frame_of(text)) is None:
+            raise ConfigurationError(f"start: allowed: {FRAME_FORM}, given: {text}")
+        return frame
 
     def _database(self, folder: Path) -> tuple[str, str, Any]:
         path = folder / self.file
@@ -156,6 +152,14 @@ class DbcSensor(Timed):
         if self.source_address is not None and message.is_extended_frame:
             identifier = identifier & ~0xFF | self.source_address
         return Message(identifier, message.length, tuple(fields), flags, tuple(conditions))
+
+
+def frame_of(text: str) -> Frame | None:
+    """Frame of a text `ID#BYTES`; None if it is malformed."""
+    if not _FRAME.fullmatch(text):
+        return None
+    identifier, _, data = text.partition("#")
+    return Frame(int(identifier, 16), bytes.fromhex(data), EXTENDED * (len(identifier) > _NARROW))
 
 
 def _condition(signal: Any, value: int) -> Condition:

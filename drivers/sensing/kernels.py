@@ -317,13 +317,26 @@ def age_of(of: Any, tick: int, period_s: float) -> float:
 
 
 @helper
+def _put(row: Any, k: int, raw: float, data: Bytes) -> None:
+    """Write a raw value, whole unless it is a FLOAT, into a field of a row."""
+    word = np.zeros(1, np.int64)
+    if row.kind[k] != FLOAT:
+        word[0] = np.int64(raw)
+    elif row.bits[k] == _FLOAT_BITS:
+        word.view(np.float32)[0] = raw
+    else:
+        word.view(np.float64)[0] = raw
+    put_field(word[0], data, row.start[k], row.bits[k], row.big[k])
+
+
+@helper
 def put_sample(row: Any, v: Array, cycle: int, offset_s: float, counter: int, frame: Any) -> int:
     """Fill in one message of a sample, except its time, from the quantities of its fields.
 
     A value beyond its range saturates, and marks the sample as invalid if a field says so. FAILED for NaN,
     and for a stamp that does not fit.
     """
-    data, invalid, word = frame.data, 0, np.zeros(1, np.int64)
+    data, invalid = frame.data, 0
     frame.id, frame.kind, frame.length = row.id, SENT, row.length
     frame.flags, frame.bus = row.flags, row.bus
     data[:] = 0
@@ -342,14 +355,7 @@ def put_sample(row: Any, v: Array, cycle: int, offset_s: float, counter: int, fr
         else:
             given = cycle if to == CYCLE else counter if to == COUNTER else invalid if to == VALIDITY else 0
             real = float(given)
-        bits = row.bits[k]
-        if row.kind[k] != FLOAT:
-            word[0] = np.int64(np.rint(real))
-        elif bits == _FLOAT_BITS:
-            word.view(np.float32)[0] = real
-        else:
-            word.view(np.float64)[0] = real
-        put_field(word[0], data, row.start[k], bits, row.big[k])
+        _put(row, k, np.rint(real) if row.kind[k] != FLOAT else real, data)
     for k in range(row.conditions):
         if row.selects[k] != SKIPS:
             put_field(row.equals[k], data, row.at[k], row.wide[k], row.from_top[k])
@@ -377,12 +383,10 @@ def put_single(value: float, data: Bytes, at: int) -> None:
 @helper
 def put_real(row: Any, k: int, x: float, data: Bytes) -> None:
     """Write a value into a field of a row, truncated to its steps and saturated."""
-    bits, raw = row.bits[k], (x - row.offset[k]) / row.scale[k]
-    if row.kind[k] == FLOAT:
-        put_single(raw, data, row.start[k] >> 3)
-        return
-    raw += 1e-3 if raw > 0.0 else -1e-3  # a value on a step keeps its code, even if rounded to a single
-    signed = row.kind[k] == 1
-    top = 2.0 ** (bits - signed) - 1.0
-    low = -top - 1.0 if signed else 0.0
-    put_field(int(min(max(raw, low), top)), data, row.start[k], bits, row.big[k])
+    raw = (x - row.offset[k]) / row.scale[k]
+    if row.kind[k] != FLOAT:
+        raw += 1e-3 if raw > 0.0 else -1e-3  # a value on a step keeps its code, even if rounded to a single
+        signed = row.kind[k] == SIGNED
+        top = 2.0 ** (row.bits[k] - signed) - 1.0
+        raw = np.trunc(min(max(raw, -top - 1.0 if signed else 0.0), top))
+    _put(row, k, raw, data)

@@ -21,7 +21,7 @@ from drivers.can.adapter import echoes, identity, time_stamps
 from drivers.can.bus import Bus
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.can.can_interface import parse
-from drivers.can.hardware_stamps import by_arrival
+from drivers.can.hardware_stamps import HARDWARE_STAMPS
 from drivers.config import BusSettings
 from drivers.errors import BusError, ConfigurationError, RunError
 from drivers.frame_array import sent_array
@@ -250,7 +250,8 @@ def _listened(c: Configuration) -> list[Frame]:
 def _measured(
     c: Configuration, index: int, other: BusSettings, duration_s: float, tell: Callable[[int, int], None]
 ) -> Qualification:
-    bus, other = by_arrival(c.bus.buses[index]), by_arrival(other)
+    by_arrival = {"options": {k: v for k, v in other.options.items() if k != HARDWARE_STAMPS}}
+    bus, other = (each.model_copy(update=by_arrival) for each in (c.bus.buses[index], other))
     rate = c.loop.rate_Hz
     kernel, ticks = bus.interface == "socketcan", max(round(duration_s * rate), 1)
     cyclic = build_protocol(c).traits.cyclic_frames

@@ -31,6 +31,7 @@ from drivers.sensing.dbc import (
     refers,
     selection,
 )
+from drivers.sensing.family import Field, fill_condition, fill_field
 from drivers.sensing.kernels import field_of, put_field, real_of, rows_at, selected
 from drivers.sensing.layout import FLOAT, ROW, SIGNED, UNSIGNED
 from drivers.signals import LEGS
@@ -220,15 +221,11 @@ class DbcProtocol(MotorProtocol):
                 f"drives.options: {role}: allowed: a signed signal, which carries both directions, given: "
                 f"{signal.name} with {low / factor:g} to {high / factor:g}"
             )
-        to["length"], to["fields"] = message.length, k + 1
-        to["to"][k] = 0 if at == COMMAND else TORQUE if role == "current" else _ROLES.index(role)
-        for name, value in (("start", start), ("bits", bits), ("kind", kind), ("big", big)):
-            to[name][k] = value
-        to["scale"][k], to["offset"][k], to["low"][k], to["high"][k] = scale, offset, low, high
+        to["length"], to["fields"], to["conditions"] = message.length, k + 1, len(selects) or to["conditions"]
+        slot = 0 if at == COMMAND else TORQUE if role == "current" else _ROLES.index(role)
+        fill_field(to, k, Field(slot, start, bits, scale, offset, kind, big, low, high))
         for c, each in enumerate(selects):
-            to["conditions"] = 1
-            to["at"][c], to["wide"][c], to["from_top"][c] = each.start, each.bits, each.big
-            to["mask"][c], to["equals"][c], to["selects"][c] = each.mask, each.equals, 1
+            fill_condition(to, c, each)
 
     def _row(self, role: str, message: Any, signal: Any, selects: list[Any]) -> int:
         """Row of a signal's message with its value of the multiplexer; a new one if necessary."""

@@ -1,6 +1,6 @@
 """The configured sensors: their tables for both ends, the frames that start and poll them, their bus time."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from math import ceil
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,17 +9,16 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.compiled.compiler import INTEGER, record
-from drivers.compiled.pointed import FAILED, Callee, call, data_at, integers_at, pointed
+from drivers.compiled.pointed import Callee, call, data_at, integers_at, pointed
 from drivers.config import UDP, BusSettings
-from drivers.errors import ConfigurationError, HilError, ProtocolError
+from drivers.errors import ConfigurationError, HilError
 from drivers.family import Family
-from drivers.frame_array import FRAME, NO_FRAMES, sent_array, sent_frames
+from drivers.frame_array import FRAME, NO_FRAMES, sent_array
 from drivers.frame_pointers import frame_at
 from drivers.legs.crc import check_of
 from drivers.protocol import BUS, EXTENDED, FD, Frame
 from drivers.sensing.calibration import Correction
-from drivers.sensing.family import CHANNELS, SYNC_ID, Device, Message, Wanted
-from drivers.sensing.kernels import encode
+from drivers.sensing.family import CHANNELS, SYNC_ID, Device, Message, Wanted, fill_condition, fill_field
 from drivers.sensing.layout import (
     CONDITIONS,
     FLOAT,
@@ -30,8 +29,6 @@ from drivers.sensing.layout import (
     LENGTH,
     OFFSET,
     ROW,
-    SELECTS,
-    SKIPS,
     SLOTS,
     STAMPED,
     TRACKER,
@@ -122,8 +119,6 @@ class SensorProtocol:
             if settings is not None:
                 for each in _sensors(role, settings, bus, folder or Path()):
                     self.sensors[each.slot] = each
-        self.kinds = tuple(role for role in KINDS if getattr(sensors, role) is not None)
-        """Configured roles."""
         self.tables = _tables(self.sensors.values())
         """Messages of the configured sensors."""
         first: dict[Any, int] = {}
@@ -146,20 +141,6 @@ class SensorProtocol:
             if device.database is not None
         }
         return tuple(found.items())
-
-    def encode(self, kind: str, values: Sequence[float], cycle: int, offset_s: float, counter: int) -> Frame:
-        """Frame of one sample of a role with one message; a value beyond its field saturates.
-
-        values: six, as in `SAMPLE`; its time is offset_s after the SYNC that carried cycle.
-        Raises ProtocolError for NaN, and for an offset outside 0 .. 65.535 ms.
-        """
-        given, frame = np.array(values, float), np.zeros(1, FRAME)
-        row = self.tables.rows[self.tables.rows["slot"] == _SLOTS[kind][0]][:1]
-        if encode(row, given, cycle, offset_s, counter, frame.reshape(())) == FAILED:
-            if np.isnan(given).any():
-                raise ProtocolError(f"sample of {kind} is not a number: {given.tolist()}")
-            raise ProtocolError(f"sample of {kind}: offset of {offset_s} s, allowed: 0 to 0.065535")
-        return sent_frames(frame)[0]
 
     def cyclic_frames(self, rate_Hz: float) -> tuple[Frame, ...]:
         """One example of every frame that can fall into one tick at a loop of `rate_Hz`, polls included."""
@@ -335,16 +316,11 @@ def _row(sensor: Sensor, part: int, message: Message) -> Any:
             f"sensors.{sensor.role}.device: more than {CONDITIONS} conditions for a message"
         )
     for k, field in enumerate(message.fields):
-        for name in ("start", "bits", "big", "kind", "to", "scale", "offset"):
-            row[name][k] = getattr(field, name)
         ends = sorted(raw * field.scale + field.offset for raw in _ends(field.bits, field.kind))
-        row["low"][k] = ends[0] if field.low is None else field.low
-        row["high"][k] = ends[1] if field.high is None else field.high
+        low = ends[0] if field.low is None else field.low
+        fill_field(row, k, field._replace(low=low, high=ends[1] if field.high is None else field.high))
     for k, one in enumerate(message.conditions):
-        selects = SKIPS if one.skips else SELECTS * one.selects
-        given = one.start, one.bits, one.big, one.mask, one.equals, selects
-        for name, value in zip(("at", "wide", "from_top", "mask", "equals", "selects"), given, strict=True):
-            row[name][k] = value
+        fill_condition(row, k, one)
     return row
 
 

@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, Rows
-from drivers.compiled.compiler import INTEGER, kernel, record, records
-from drivers.compiled.pointed import data_at
-from drivers.frame_array import FRAME
-from drivers.sensing.kernels import hear
+from drivers.compiled.compiler import INTEGER, REAL, VECTOR, kernel, record, records
+from drivers.compiled.pointed import FAILED, data_at
+from drivers.frame_array import FRAME, sent_frames
+from drivers.sensing.kernels import hear, put_sample
 from drivers.sensing.layout import (
     IMU,
     NEVER,
+    ROW,
     SAMPLE,
     SENSORS,
     TRACKER,
@@ -22,7 +23,7 @@ from drivers.sensing.layout import (
     no_sensors,
     unheard,
 )
-from drivers.sensors import SensorProtocol
+from drivers.sensors import KINDS, SensorProtocol
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
 from hil.estimation.fusion import FusedEstimator
@@ -65,6 +66,17 @@ class Health(NamedTuple):
 hear_frames = kernel(record(SENSORS), records(FRAME), INTEGER, INTEGER, INTEGER)(hear)
 """Arguments: (record of SENSORS, elements of FRAME, tick, its begin, end of its SYNC); reads the samples."""
 _SLOTS = [TRACKER, IMU, WRENCH]
+
+
+_put = kernel(record(ROW), VECTOR, INTEGER, REAL, INTEGER, record(FRAME))(put_sample)
+
+
+def encode(protocol: SensorProtocol, kind: str, values: Any, *stamp: Any) -> Any:
+    """Frame of a sample of a role with one message; None if it has none. stamp: cycle, offset s, counter."""
+    rows, frame = protocol.tables.rows, np.zeros(1, FRAME)
+    row = rows[rows["slot"] == _SLOTS[KINDS.index(kind)]][:1].reshape(())
+    failed = _put(row, np.array(values, float), *stamp, frame.reshape(())) == FAILED
+    return None if failed else sent_frames(frame)[0]
 
 
 def decode(protocol: SensorProtocol, frames: Rows, tick: int, before: Readings) -> Readings:

@@ -14,7 +14,7 @@ from pydantic import Field as Key
 
 from drivers.protocol import Frame
 from drivers.section import Section
-from drivers.sensing.layout import FREE, SIGNED, SYNCED
+from drivers.sensing.layout import FREE, SELECTS, SIGNED, SKIPS, SYNCED
 
 CHANNELS: dict[str, tuple[str, ...]] = {
     "tracker": ("x", "y", "z", "rx", "ry", "rz"),
@@ -70,6 +70,20 @@ class Condition(NamedTuple):
     """True if a frame with other bits is another message; False if its sample is invalid."""
     skips: bool = False
     """True if a frame with these bits is another message."""
+
+
+def fill_field(row: Any, k: int, field: Field) -> None:
+    """Fill in field `k` of an element of ROW."""
+    for name in ("start", "bits", "big", "kind", "to", "scale", "offset", "low", "high"):
+        row[name][k] = getattr(field, name)
+
+
+def fill_condition(row: Any, k: int, one: Condition) -> None:
+    """Fill in condition `k` of an element of ROW."""
+    selects = SKIPS if one.skips else SELECTS * one.selects
+    given = one.start, one.bits, one.big, one.mask, one.equals, selects
+    for name, value in zip(("at", "wide", "from_top", "mask", "equals", "selects"), given, strict=True):
+        row[name][k] = value
 
 
 class Message(NamedTuple):

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from drivers.arrays import Array, Bytes, Ints
-from drivers.compiled.compiler import INTEGER, REAL, VECTOR, helper, kernel, record, records
+from drivers.compiled.compiler import helper, record
 from drivers.compiled.pointed import FAILED, records_at
-from drivers.frame_array import FRAME, SENT
+from drivers.frame_array import SENT
 from drivers.frame_pointers import signed
 from drivers.legs.crc import check_of, intact
 from drivers.legs.kernels import natural, put
@@ -362,12 +362,6 @@ def put_sample(row: Any, v: Array, cycle: int, offset_s: float, counter: int, fr
     if row.checked:
         data[row.length - 1] = check_of(row.id, data, row.length - 1, 1)
     return 0
-
-
-@kernel(records(ROW), VECTOR, INTEGER, REAL, INTEGER, record(FRAME))
-def encode(rows: Any, v: Array, cycle: int, offset_s: float, counter: int, frame: Any) -> int:
-    """`put_sample` for the first of some messages."""
-    return put_sample(rows[0], v, cycle, offset_s, counter, frame)
 
 
 @helper

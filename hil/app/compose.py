@@ -82,7 +82,7 @@ def drive_setup(configuration: Configuration, rate_Hz: float, watchdog_s: float 
 def build_sensors(configuration: Configuration) -> SensorProtocol | None:
     """Codec of the configured sensors, for both ends of the bus; None without sensors."""
     sensors = SensorProtocol(configuration.bus, configuration.sensors, configuration.folder)
-    return sensors if sensors.kinds else None
+    return sensors if sensors.sensors else None
 
 
 def build_cycle(

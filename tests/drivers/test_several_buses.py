@@ -29,7 +29,7 @@ from hil.contracts.messages import Answer, Configure, Sync, hear
 from plant_fmu.drives import drives_end
 from tests.drivers.cia402_drives import holding
 from tests.drivers.legs_frames import command_frames, opening, parse
-from tests.sensor_samples import Readings
+from tests.sensor_samples import Readings, encode
 from tests.sensor_samples import decode as decode_samples
 
 HALVES = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
@@ -98,7 +98,7 @@ def test_sensor_is_received_only_on_its_configured_bus_which_must_exist():
     with pytest.raises(ConfigurationError, match=r"sensors\.imu\.channel: .*given: c"):
         SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="c")))
     sensors = SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="b")))
-    frame = sensors.encode("imu", (0.0,) * 6, 7, 0.0, 3)
+    frame = encode(sensors, "imu", (0.0,) * 6, 7, 0.0, 3)
     assert frame.bus == 1
     before = decode_samples(sensors, NO_FRAMES, 7, Readings())
     for each, count in ((frame, 1), (frame._replace(flags=frame.flags - BUS), 0)):

@@ -22,6 +22,7 @@ from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState,
 from hil.contracts.drives_end import reports
 from hil.contracts.messages import Configure, DeviceCommand, EmergencyStop, Status, Sync
 from tests.drivers.legs_frames import bitwise_crc, command_frames, decode, one_feedback, opening, parse
+from tests.sensor_samples import encode
 
 NODES = (1, 2, 3, 4, 5, 6)
 RATED_N = 32_000.0
@@ -157,7 +158,7 @@ VECTORS = [
     ),
     Vector(
         "TRACKER_7",
-        S.encode("tracker", (0.25, -0.5, 1.0, 0.1, -0.2, 3.0), TICK, 0.012345, 7),
+        encode(S, "tracker", (0.25, -0.5, 1.0, 0.1, -0.2, 3.0), TICK, 0.012345, 7),
         # in 0.1 um: 2500000 = 0x002625A0; -5000000 = 2^32 - 0x004C4B40 = 0xFFB3B4C0; 10000000 = 0x00989680;
         # in 2 nrad: 50000000 = 0x02FAF080; -100000000 = 2^32 - 0x05F5E100 = 0xFA0A1F00; 1500000000 = 0x59682F00;
         # 12345 us = 0x3039; Cycle; valid above counter 7; three zero bytes
@@ -166,7 +167,7 @@ VECTORS = [
     ),
     Vector(
         "IMU_8",
-        S.encode("imu", (1.5, -0.25, 0.002, -9.81, 0.5, 65.534), TICK, 400e-6, 15),
+        encode(S, "imu", (1.5, -0.25, 0.002, -9.81, 0.5, 65.534), TICK, 400e-6, 15),
         # in 0.2 mrad/s: 7500 = 0x1D4C; -1250 = 0x10000 - 0x04E2 = 0xFB1E; 10; in 2 mm/s^2: -4905 = 0x10000 - 0x1329 =
         # 0xECD7; 250 = 0x00FA; 32767 = 0x7FFF; 400 us = 0x0190; Cycle; valid above counter 15; three zero bytes
         "488##1 4C 1D  1E FB  0A 00  D7 EC  FA 00  FF 7F  90 01  A7  0F  00 00 00  5E",
@@ -175,7 +176,7 @@ VECTORS = [
     ),
     Vector(
         "WRENCH_9",
-        S.encode("wrench", (1234.567, -0.001, -60_000.0, 100.5, 0.0, -2.5), 256, 0.0, 16),
+        encode(S, "wrench", (1234.567, -0.001, -60_000.0, 100.5, 0.0, -2.5), 256, 0.0, 16),
         # in mN and mN m: 1234567 = 0x0012D687; -1; -60000000 = 0xFC6C7900; 100500 = 0x00018894; 0; -2500 =
         # 2^32 - 0x09C4 = 0xFFFFF63C; Cycle 256 mod 256 and counter 16 mod 16 are 0
         "509##1 87 D6 12 00  FF FF FF FF  00 79 6C FC  94 88 01 00  00 00 00 00  3C F6 FF FF  00 00  00  00  00 00 00  24",

@@ -13,11 +13,12 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import ERROR, EXTENDED, REMOTE, Frame, Received
 from drivers.sensing.settings import ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
 from drivers.sensors import SensorProtocol
+from hil.contracts.sensor import Mover as Moved
 from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, TrackerEmulation, WrenchEmulation
 from plant_fmu.drives.sensor_nodes import SensedNodes
 from plant_fmu.faults.kinds import FramesCorrupt, FramesLoss, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.plant import Plant, Truth
+from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import opening
 from tests.sensor_samples import Readings, decode
 
@@ -49,30 +50,19 @@ def rotation(t):
     return Rotation.from_rotvec(AXIS * (0.2 + 0.7 * t)).as_matrix()
 
 
-class Mover(Plant):
+class Mover(Moved):
     """A platform with a given motion, independent of its inputs."""
 
-    internal_step_s = 1e-4
     blind = False
 
-    def reset(self):
-        self.n = 0
-        return np.ones(6), np.zeros(6)
-
     def step(self, force, brake, wrench, dt_s):
-        self.n += round(dt_s / self.internal_step_s)
+        super().step(force, brake, wrench, dt_s)
         return np.ones(6), np.zeros(6)
 
     def truth(self):
-        t = self.n * 1e-4
+        t = self.t_s
         twist = np.concatenate((velocity(t), 0.7 * AXIS))
         return None if self.blind else Truth(position(t), rotation(t), twist, np.zeros(6))
-
-    def applied_force(self):
-        return np.zeros(6)
-
-    def close(self):
-        pass
 
 
 def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=None):
@@ -167,18 +157,6 @@ def test_noise_and_bias_of_simulated_sensors_have_the_configured_size():
     ):
         assert np.abs((np.mean(samples, axis=0) - mean) / std).max() < 5 / np.sqrt(2000)
         assert np.std(samples, axis=0) == pytest.approx(std, rel=0.1)
-
-
-def test_lost_samples_of_simulated_sensors_leave_counter_gaps_and_a_seed_repeats_the_run():
-    lossy = EXACT.model_copy(update={"tracker": TrackerEmulation(lost_percent=20.0)})
-    found, rejected = run(lossy, ticks=500)
-    assert rejected == 0
-    assert 0.1 < 1 - len(found["tracker"]) / 100 < 0.3
-    again, _ = run(lossy, ticks=500)
-    other, _ = run(lossy.model_copy(update={"seed": 2}), ticks=50)
-    same = [np.array_equal(a[2], b[2]) for a, b in zip(found["tracker"], again["tracker"], strict=True)]
-    assert all(same)
-    assert not np.array_equal(found["tracker"][0][2], other["tracker"][0][2])
 
 
 def test_injected_frame_faults_affect_sensor_frames_too():

@@ -33,7 +33,7 @@ from drivers.sensing.dbc import (
 )
 from drivers.sensing.family import Field, fill_condition, fill_field
 from drivers.sensing.kernels import field_of, put_field, real_of, rows_at, selected
-from drivers.sensing.layout import FLOAT, ROW, SIGNED, UNSIGNED
+from drivers.sensing.layout import FLOAT, ROW, SIGNED, UNSIGNED, raw_ends
 from drivers.signals import LEGS
 
 POSITION, VELOCITY, TORQUE, FAULT, ENABLED = range(5)
@@ -117,8 +117,8 @@ def ends_of(bits: int, kind: int, scale: float, offset: float) -> tuple[float, f
     """Smallest and largest value of a field; of a signed one without its lowest code, unlike in the DBC."""
     if kind == FLOAT:
         return -np.inf, np.inf
-    codes = (1.0 - 2.0 ** (bits - 1), 2.0 ** (bits - 1) - 1.0) if kind == SIGNED else (0.0, 2.0**bits - 1.0)
-    low, high = sorted(code * scale + offset for code in codes)
+    least, most = raw_ends(bits, kind)
+    low, high = sorted(code * scale + offset for code in (least + (kind == SIGNED), most))
     return low, high
 
 

@@ -21,32 +21,22 @@ from drivers.sensing.calibration import Correction
 from drivers.sensing.family import CHANNELS, SYNC_ID, Device, Message, Wanted, fill_condition, fill_field
 from drivers.sensing.layout import (
     CONDITIONS,
-    FLOAT,
-    FORCE,
     FREE,
-    IMU,
-    INCLINATION,
-    LENGTH,
     OFFSET,
     ROW,
     SLOTS,
+    SLOTS_OF,
     STAMPED,
-    TRACKER,
-    WRENCH,
     Reception,
     Tables,
     no_sensors,
+    raw_ends,
 )
 from drivers.sensing.mocap import MotionCapture
 from drivers.sensing.settings import SensorRole, SensorSettings
-from drivers.signals import LEGS
 
 KINDS = tuple(CHANNELS)
 """Roles of sensors, the keys of section `sensors`."""
-_SLOTS = {
-    "tracker": (TRACKER,), "imu": (IMU,), "wrench": (WRENCH,), "inclination": (INCLINATION,),
-    "lengths": tuple(range(LENGTH, LENGTH + LEGS)), "forces": tuple(range(FORCE, FORCE + LEGS)),
-}  # fmt: skip
 SIGMAS = 3.0
 """Standard deviations by which the mean of a sensor may differ from the legs."""
 SILENT_SAMPLES = 5
@@ -262,7 +252,7 @@ def _sensors(role: str, settings: SensorRole, bus: BusSettings, folder: Path) ->
     except ConfigurationError as error:
         raise ConfigurationError(f"sensors.{role}.channel: {error}") from error
     nodes, there = settings.nodes, bus.buses[index]
-    for leg, slot in enumerate(_SLOTS[role]):
+    for leg, slot in enumerate(SLOTS_OF[role]):
         wanted = Wanted(role, nodes[leg], leg, settings.rate_Hz, folder)
         try:
             device = settings.device.device(wanted)
@@ -316,17 +306,9 @@ def _row(sensor: Sensor, part: int, message: Message) -> Any:
             f"sensors.{sensor.role}.device: more than {CONDITIONS} conditions for a message"
         )
     for k, field in enumerate(message.fields):
-        ends = sorted(raw * field.scale + field.offset for raw in _ends(field.bits, field.kind))
+        ends = sorted(raw * field.scale + field.offset for raw in raw_ends(field.bits, field.kind))
         low = ends[0] if field.low is None else field.low
         fill_field(row, k, field._replace(low=low, high=ends[1] if field.high is None else field.high))
     for k, one in enumerate(message.conditions):
         fill_condition(row, k, one)
     return row
-
-
-def _ends(bits: int, kind: int) -> tuple[float, float]:
-    """Smallest and largest raw value of a field."""
-    if kind == FLOAT:
-        most = float(np.finfo(np.float32 if bits == 32 else np.float64).max)
-        return -most, most
-    return (-float(1 << bits - 1), float((1 << bits - 1) - 1)) if kind else (0.0, float((1 << bits) - 1))

@@ -13,6 +13,11 @@ TRACKER, IMU, WRENCH, INCLINATION, LENGTH = range(5)
 FORCE = LENGTH + LEGS
 SLOTS = FORCE + LEGS
 """A slot is one measurement: the pose, ..., the length of leg i in LENGTH + i, its force in FORCE + i."""
+SLOTS_OF = {
+    "tracker": (TRACKER,), "imu": (IMU,), "wrench": (WRENCH,), "inclination": (INCLINATION,),
+    "lengths": tuple(range(LENGTH, LENGTH + LEGS)), "forces": tuple(range(FORCE, FORCE + LEGS)),
+}  # fmt: skip
+"""Role of a sensor, a key of section `sensors` -> its slots."""
 QUANTITIES = 6
 OFFSET, CYCLE, COUNTER, VALIDITY, QUALITY = range(QUANTITIES, QUANTITIES + 5)
 """Targets of a field after the quantities: time after SYNC and its Cycle, counter of samples, validity, and a
@@ -69,6 +74,14 @@ samples compared with the legs, share of the limit, the last difference, and the
 SENSORS = np.dtype([(name, "<i8") for name in ("rows", "size", "slots", "samples", "rejected", "lost")])
 """Addresses of `size` elements of ROW, of SLOTS elements of SLOT and of (SLOTS, MOST) elements of SAMPLE; in
 this tick refused frames, and samples missing by their counters."""
+
+
+def raw_ends(bits: int, kind: int) -> tuple[float, float]:
+    """Smallest and largest raw value of a field."""
+    if kind == FLOAT:
+        most = float(np.finfo(np.float32 if bits == 32 else np.float64).max)
+        return -most, most
+    return (-float(1 << bits - 1), float((1 << bits - 1) - 1)) if kind else (0.0, float((1 << bits) - 1))
 
 
 class Tables(NamedTuple):

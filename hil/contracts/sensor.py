@@ -183,17 +183,11 @@ class SensorContract:
     def test_frames_of_any_length_and_content_are_survived(self, protocol):
         chance, heard = np.random.default_rng(1), unheard(protocol.tables)
         table = protocol.tables.rows
+        ours = list(zip(table["id"].tolist(), (table["flags"] + BUS * table["bus"]).tolist(), strict=True))
         for tick in range(200):
             broken = [
-                Received(
-                    tick * MS + k,
-                    Frame(
-                        int(row["id"]),
-                        chance.bytes(int(chance.integers(0, 65))),
-                        int(row["flags"] + BUS * row["bus"]),
-                    ),
-                )
-                for k, row in enumerate(table)
+                Received(tick * MS + k, Frame(identifier, chance.bytes(int(chance.integers(0, 65))), flags))
+                for k, (identifier, flags) in enumerate(ours)
             ]
             hear_frames(heard, received_array(broken), tick, tick * MS)
         assert int(heard.record["rejected"]) >= 0

@@ -104,8 +104,7 @@ def compare(k: Any, sensors: Any, mode: int, fusing: int, tick: Any) -> int:
         if of.present == 0 or (fusing and slot in (TRACKER, IMU)):
             continue
         age_s = age_of(of, tick.tick, k.period_s)
-        gap[:] = 0.0
-        rate[:] = 0.0
+        gap[:] = rate[:] = 0.0
         free = slot < FORCE or Mode.APPROACH <= mode <= Mode.STOPPING  # a shut brake carries the load
         if of.count > 0 and free and difference(tick, slot, of.last, age_s, gap, rate):
             of.compared += 1

@@ -37,13 +37,18 @@ def signals_of(v: dict[str, Any]) -> tuple[str, str, dict[str, float]]:
     file = f"{EXAMPLES}/xsens_mti.dbc" if v["family"].startswith("Xsens") else DATA
     database: Any = cantools.database.load_file(ROOT / file)
     message = database.get_message_by_frame_id(v["id"])
-    decoded = v["decoded"] or {"ErrorCode": int(v["data"], 16)}
+    decoded = v.get("decoded") or v.get("inputs") or {"ErrorCode": int(v["data"], 16)}
+    decoded = decoded | {key.partition("_N")[0]: value for key, value in decoded.items()}  # Fx_N, Mx_Nm
     return file, message.name, {name: decoded[name] for name in message.signal_tree if name in decoded}
 
 
 @pytest.mark.parametrize(
     "v",
-    [v for v in of("Xsens") + of("SBG") + of("JR3", "force data") if v["direction"] == "from_device"],
+    [
+        v
+        for v in of("Xsens") + of("SBG") + of("JR3", "force data", "moment data") + of("IMU by DBC")
+        if v["direction"] == "from_device"
+    ],
     ids=lambda v: v["key"],
 )
 def test_every_signal_of_quaternion_status_and_other_frames_is_decoded_to_its_value(v):

@@ -214,31 +214,6 @@ def test_j1939_imu_frame_is_decoded_by_its_extended_identifier(v):
             assert count == (decoded["merit"] == 0), "0 is fully functional"
 
 
-@pytest.mark.parametrize("v", of("IMU by DBC"), ids=lambda v: v["what"])
-def test_big_endian_fields_across_byte_limits_are_decoded_with_their_validity_bit(v):
-    n, inputs = (1, v["inputs"]) if v["id"] == 308 else (2, v["inputs"])
-    names = {
-        f"w{axis}": f"Inertial{n}{q}Rte" for axis, q in zip("xyz", ("Roll", "Pitch", "Yaw"), strict=True)
-    }
-    expected = [inputs[name] * DEG for name in names.values()]
-    assert last("imu", by_dbc(DATA, names), IMU, frame(v))[:3] == pytest.approx(expected)
-    valid = by_dbc(DATA, names, valid={f"Inertial{n}PitchRteV": 0})
-    assert heard("imu", valid, frame(v)).slots["count"][IMU] == (inputs[f"Inertial{n}PitchRteV"] == 0)
-
-
-def test_jr3_force_and_moment_frames_are_combined_into_one_wrench_sample():
-    forces, moments = of("JR3", "force data"), of("JR3", "moment data")
-    assert len(forces) == len(moments) == 4
-    for force, moment in zip(forces, moments, strict=True):
-        expected = [*list(force["decoded"].values())[:3], *list(moment["decoded"].values())[:3]]
-        names = dict(
-            zip(("fx", "fy", "fz", "mx", "my", "mz"), ("Fx", "Fy", "Fz", "Mx", "My", "Mz"), strict=True)
-        )
-        assert last("wrench", by_dbc(DATA, names), WRENCH, frame(force), frame(moment)) == pytest.approx(
-            expected, abs=1e-8
-        )
-
-
 def singles(v: dict[str, Any]) -> tuple[float, ...]:
     return struct.unpack(">2f", bytes.fromhex(v["data"]))
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from drivers.frame_array import joined
 from hil.contracts.sensor import SensorContract
 
-ROOT = Path(__file__).parents[2]
+ROOT, EXAMPLES = Path(__file__).parents[2], "docs/examples/sensors"
 MATRIX = (1e3 * (np.eye(6) + 0.1 * np.arange(36).reshape(6, 6) / 36)).tolist()
 
 
@@ -25,6 +26,10 @@ class TestStampedImu(SensorContract):
     RESOLUTION = 2e-3
 
 
+def device(rate_Hz: float, protocol: str, **keys: Any) -> dict[str, Any]:
+    return {"rate_Hz": rate_Hz, "device": {"protocol": protocol, "latency_ms": 2, **keys}}
+
+
 class TestCia406Sync(SensorContract):
     ROLE = "lengths"
     SETTINGS = {"rate_Hz": 1000, "device": {"protocol": "cia406", "step_m": -1e-6, "zero_m": 2.0}}
@@ -33,40 +38,19 @@ class TestCia406Sync(SensorContract):
 
 class TestCia406Cyclic(SensorContract):
     ROLE = "lengths"
-    SETTINGS = {
-        "rate_Hz": 500,
-        "device": {"protocol": "cia406", "step_m": 1e-6, "trigger": "cyclic", "latency_ms": 2},
-    }
+    SETTINGS = device(500, "cia406", step_m=1e-6, trigger="cyclic")
     RESOLUTION = 0.6e-6
 
 
 class TestCia406Change(SensorContract):
     ROLE = "lengths"
-    SETTINGS = {
-        "rate_Hz": 500,
-        "device": {
-            "protocol": "cia406",
-            "step_m": 1e-5,
-            "trigger": "change",
-            "latency_ms": 2,
-            "format": "int32",
-        },
-    }
+    SETTINGS = device(500, "cia406", step_m=1e-5, trigger="change", format="int32")
     RESOLUTION = 6e-6
 
 
 class TestCia404(SensorContract):
     ROLE = "forces"
-    SETTINGS = {
-        "rate_Hz": 250,
-        "device": {
-            "protocol": "cia404",
-            "trigger": "cyclic",
-            "format": "int16",
-            "scale_N": 0.5,
-            "latency_ms": 2,
-        },
-    }
+    SETTINGS = device(250, "cia404", trigger="cyclic", format="int16", scale_N=0.5)
     RESOLUTION = 0.26
 
 
@@ -78,46 +62,32 @@ class TestAti(SensorContract):
 
 class TestXsensByDbc(SensorContract):
     ROLE = "imu"
-    SETTINGS = {
-        "rate_Hz": 500,
-        "device": {
-            "protocol": "dbc",
-            "file": "docs/examples/sensors/xsens_mti.dbc",
-            "signals": {"wx": "gyrX", "wy": "gyrY", "wz": "gyrZ", "fx": "accX", "fy": "accY", "fz": "accZ"},
-            "latency_ms": 2,
-        },
-    }
+    SIGNALS = {"wx": "gyrX", "wy": "gyrY", "wz": "gyrZ", "fx": "accX", "fy": "accY", "fz": "accZ"}
+    SETTINGS = device(500, "dbc", file=f"{EXAMPLES}/xsens_mti.dbc", signals=SIGNALS)
     RESOLUTION = 3e-3
     FOLDER = ROOT
 
 
 class TestJ1939ByDbc(SensorContract):
     ROLE = "inclination"
-    SETTINGS = {
-        "rate_Hz": 100,
-        "device": {
-            "protocol": "dbc",
-            "file": "docs/examples/sensors/j1939_imu.dbc",
-            "signals": {"roll": "Roll", "pitch": "Pitch"},
-            "latency_ms": 2,
-        },
-    }
+    SIGNALS = {"roll": "Roll", "pitch": "Pitch"}
+    SETTINGS = device(
+        100,
+        "dbc",
+        file=f"{EXAMPLES}/j1939_imu.dbc",
+        signals=SIGNALS,
+        valid={"PitchMerit": 0},
+        start=["000#0180"],
+    )
     RESOLUTION = 1e-6
     FOLDER = ROOT
 
 
 class TestLegsOfOneMessageByDbc(SensorContract):
     ROLE = "lengths"
-    SETTINGS = {
-        "rate_Hz": 250,
-        "device": {
-            "protocol": "dbc",
-            "file": "tests/data/sensor_messages.dbc",
-            "signals": {f"leg_{leg}": f"L{leg}" for leg in range(6)},
-            "valid": {"LEGS_STATUS.Fault": 0},
-            "latency_ms": 2,
-        },
-    }
+    SIGNALS = {f"leg_{leg}": f"L{leg}" for leg in range(6)}
+    VALID = {"LEGS_STATUS.Fault": 0}
+    SETTINGS = device(250, "dbc", file="tests/data/sensor_messages.dbc", signals=SIGNALS, valid=VALID)
     RESOLUTION = 3e-5
     FOLDER = ROOT
 

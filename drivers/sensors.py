@@ -177,20 +177,15 @@ class SensorProtocol:
 
         Two roles may read one message of a DBC: it comes at one instant.
         """
-        traits = protocol.traits
-        requests = [*traits.cyclic_frames, *(f for own in traits.identity_requests for f in own)]
-        drives = {(f.bus, f.id, f.flags & EXTENDED) for f in requests}
-        taken: dict[tuple[int, ...], tuple[Any, ...]] = {
-            (f.bus, f.id, f.flags & EXTENDED): ("a drive",) for f in traits.cyclic_frames
-        }
+        cyclic, asked = protocol.traits.cyclic_frames, protocol.traits.identity_requests
+        drives = {_key(frame) for own in (cyclic, *asked) for frame in own}
+        taken: dict[Any, tuple[Any, ...]] = {_key(frame): ("a drive",) for frame in cyclic}
         for each in self.sensors.values():
             mine, own = f"sensors.{each.role}", [each.rate_Hz, each.device.timing, each.device.database]
             frames = [Frame(of.id, b"", of.flags & EXTENDED) for of in each.device.messages]
-            starts = [
-                f for f in each.on_bus(each.device.start) if (f.bus, f.id, f.flags & EXTENDED) in drives
-            ]
+            starts = [frame for frame in each.on_bus(each.device.start) if _key(frame) in drives]
             for frame in (*starts, *each.on_bus(frames)):
-                key = frame.bus, frame.id, frame.flags & EXTENDED
+                key = _key(frame)
                 other, *terms = taken.setdefault(key, (mine, *own))
                 shares = bool(each.device.database) and each.device.timing != STAMPED and terms == own
                 if frame in starts or not (other == mine or shares) or protocol.sender(frame) >= 0:
@@ -244,6 +239,10 @@ class SensorProtocol:
         of = heard.slots[self._started[k]]
         silent_s = (number - int(of["last_tick"])) / rate_Hz - float(of["last_s"])
         return self._starts[k : k + 1] if silent_s > PATIENCE_S else NO_FRAMES
+
+
+def _key(frame: Frame) -> tuple[int, ...]:
+    return frame.bus, frame.id, frame.flags & EXTENDED
 
 
 def _sensors(role: str, settings: SensorRole, bus: BusSettings, folder: Path) -> Iterator[Sensor]:

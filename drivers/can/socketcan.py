@@ -15,17 +15,8 @@ from contextlib import suppress
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.can import netlink
+from drivers.can import hardware_stamps, netlink
 from drivers.can.can_interface import FD_MTU, CanInterface, parse, read_error, refusal
-from drivers.can.hardware_stamps import (
-    HARDWARE,
-    SO_TIMESTAMPING,
-    SO_TIMESTAMPNS,
-    WANTED,
-    ControllerClock,
-    stamped_by,
-    stamps_of,
-)
 from drivers.can.link import Link
 from drivers.clock import MONOTONIC
 from drivers.config import BusSettings
@@ -77,8 +68,8 @@ class SocketCan(Link):
         self._down = self._refused = self._bus_off = self._stuck = self._dropped = False
         self._kernel_lost = self._looked_ns = self._waited = self._waiting_since = 0
         self._taken_ns = []
-        self._clock = ControllerClock()
-        self._stamped_by = stamped_by(settings)
+        self._clock = hardware_stamps.ControllerClock()
+        self._stamped_by = hardware_stamps.stamped_by(settings)
         self._socket, self._interface = self._open()
         self._state = self._worst = self._interface.state
         self.virtual = self._interface.kind in _NO_WIRE
@@ -109,7 +100,11 @@ class SocketCan(Link):
             sock.setsockopt(_SOL_CAN_RAW, _RAW_ERR_FILTER, _ERR_MASK)
             # the kernel grants what net.core.rmem_max allows
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            stamps = (SO_TIMESTAMPING, WANTED) if self._stamped_by == HARDWARE else (SO_TIMESTAMPNS, 1)
+            stamps = (
+                (hardware_stamps.SO_TIMESTAMPING, hardware_stamps.WANTED)
+                if self._stamped_by == hardware_stamps.HARDWARE
+                else (hardware_stamps.SO_TIMESTAMPNS, 1)
+            )
             for option, value in (stamps, (_SO_RXQ_OVFL, 1)):
                 sock.setsockopt(socket.SOL_SOCKET, option, value)
             sock.bind((channel,))
@@ -222,7 +217,7 @@ class SocketCan(Link):
             except OSError:
                 self._down = True
                 break
-            arrived_ns, stamp_ns = stamps_of(ancillary)
+            arrived_ns, stamp_ns = hardware_stamps.stamps_of(ancillary)
             t_ns = self._clock.taken_ns((arrived_ns or time.time_ns()) + real_to_monotonic, stamp_ns)
             for _, kind, value in ancillary:
                 if kind == _SO_RXQ_OVFL:

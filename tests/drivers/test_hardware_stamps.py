@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.can import socketcan
+from drivers.can import hardware_stamps, socketcan
 from drivers.can.bus import Bus
 from drivers.can.hardware_stamps import ControllerClock, stamped_by, stamps_of
 from drivers.config import BusSettings
@@ -58,7 +58,7 @@ def test_frame_without_stamp_has_its_arrival_and_a_clock_set_back_or_started_aga
 
 
 def test_time_of_a_frame_is_its_hardware_stamp_until_the_can_controller_restarts(kernel, clock, monkeypatch):  # noqa: F811
-    monkeypatch.setattr(socketcan, "stamped_by", lambda _: "hardware")
+    monkeypatch.setattr(hardware_stamps, "stamped_by", lambda _: "hardware")
     clock.time_ns = lambda: NOW_NS
     can = socketcan.SocketCan(SETTINGS)
     (sock,) = kernel.sockets

@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Callable
 from functools import cache
 from math import exp, inf, nan, pi
-from operator import itemgetter
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -126,8 +125,8 @@ class Drives:
         The scale errors of one leg multiply, in the order in which they began.
         """
         scale, shift = np.ones(LEGS), np.zeros(LEGS)
-        for leg, factor, since_ns in sorted(present.scales, key=itemgetter(2)):
-            origin = self._origins.setdefault((leg, since_ns), float(length[leg]))
+        for leg, factor, own in sorted(present.scales, key=lambda each: each[2].start_ns):
+            origin = self._origins.setdefault((leg, own.start_ns), float(length[leg]))
             shift[leg] += scale[leg] * (1.0 - factor) * origin
             scale[leg] *= factor
         self.seen.scale, self.seen.shift = scale, shift
@@ -136,8 +135,8 @@ class Drives:
         """Set the offsets and drifts of encoders, m, to their values at `t_ns`."""
         n = self.seen
         n.offset, n.drift = present.offset_m, 0.0
-        for leg, by_m_s, since_ns in present.drifts:
-            n.offset[leg] += by_m_s * (t_ns - since_ns) * 1e-9
+        for leg, by_m_s, own in present.drifts:
+            n.offset[leg] += by_m_s * (t_ns - own.start_ns) * 1e-9
             n.drift[leg] += by_m_s
 
 
@@ -174,8 +173,8 @@ class Reading:
             for leg, late_ns in enumerate(present.late_ns):
                 if late_ns:
                     length[leg], rate[leg] = self._at(t_ns - late_ns, leg)
-        for leg, sigma_m, generator in present.noise:
-            length[leg] += sigma_m * generator.standard_normal()
+        for leg, sigma_m, own in present.noise:
+            length[leg] += sigma_m * own.generator.standard_normal()
 
     def _at(self, t_ns: int, leg: int) -> tuple[float, float]:
         """Length, m, and rate, m/s, of an encoder at an instant, extrapolated from the reading before."""

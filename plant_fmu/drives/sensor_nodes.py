@@ -7,6 +7,7 @@ internal step, as of a device that integrates.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -192,12 +193,24 @@ class SensedNodes(Nodes):
             n["drawn"] *= node.outlier_stds
         status = measure(n, slot, t_ns, grid_ns, *truth[:3])
         lost, late_ns = chance.random() < 0.01 * node.lost_percent, round(node.latency_ms * 1e6)
-        for fault, since_ns, own in self._present.sensors:
+        for own in self._present.sensors:
+            fault: Any = own.fault
             if fault.sensor != SENSORS[slot]:
                 continue
-            late_ns += round(1e6 * getattr(fault, "by_ms", 0.0))
-            held = self._held.setdefault((slot, since_ns), n["values"].copy())
-            lost |= not fault.alter(n["values"], 1e-9 * (t_ns - since_ns), held, own)
+            held = self._held.setdefault((slot, own.start_ns), n["values"].copy())
+            match fault.kind:
+                case "sensor_lost":
+                    lost = True
+                case "sensor_late":
+                    late_ns += round(1e6 * fault.by_ms)
+                case "sensor_frozen":
+                    n["values"] = held
+                case "sensor_offset":
+                    n["values"][fault.axis] += fault.by
+                case "sensor_drift":
+                    n["values"][fault.axis] += fault.by * (1e-9 * (t_ns - own.start_ns))
+                case "sensor_outlier":
+                    n["values"][fault.axis] += fault.by * (own.generator.random() < 0.01 * fault.percent)
         if self._present.hangs or status == SILENT or not self._started[slot]:
             return
         late_ns += round(chance.random() * node.jitter_ms * 1e6) if node.jitter_ms else 0

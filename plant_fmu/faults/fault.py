@@ -24,25 +24,23 @@ Moment = Literal[
 NEVER_NS = 1 << 62
 Effect = tuple[str, Callable[[Any, Any], Any] | None, object]
 """Effect of a kind of fault: entry of `Present`; function (old value, figure) -> new value, or None for an
-entry that lists (leg, figure, since when); the figure, or the name of the field that has it."""
+entry that lists (leg, figure, Occurrence); the figure, or the name of the field that has it."""
 
 
 class Present:
     """All effects of faults on drives and plant at one instant; lists have one element per leg."""
 
     def __init__(self) -> None:
-        self.since_ns: int
-        """Start of the fault that is being entered."""
-        self.generator: np.random.Generator
-        """Random numbers of the fault that is being entered."""
+        self.own: Occurrence
+        """The fault that is being entered."""
         self.offset_m = [0.0] * LEGS
-        self.drifts: list[tuple[int, float, int]] = []
-        """(leg, speed m/s, start ns) of each encoder drift."""
-        self.noise: list[tuple[int, float, np.random.Generator]] = []
-        """(leg, standard deviation m, random numbers) of each encoder noise."""
+        self.drifts: list[tuple[int, float, Occurrence]] = []
+        """(leg, speed m/s, fault) of each encoder drift."""
+        self.noise: list[tuple[int, float, Occurrence]] = []
+        """(leg, standard deviation m, fault) of each encoder noise."""
         self.late_ns = [0] * LEGS
-        self.scales: list[tuple[int, float, int]] = []
-        """(leg, factor on the motion that its encoder counts, start ns) of each scale error."""
+        self.scales: list[tuple[int, float, Occurrence]] = []
+        """(leg, factor on the motion that its encoder counts, fault) of each scale error."""
         self.frozen = [False] * LEGS
         self.lost = [False] * LEGS
         self.forged_m: list[float | None] = [None] * LEGS
@@ -62,8 +60,7 @@ class Present:
         """(6,) N, N m on the platform at its origin, base frame."""
         self.masses: list[tuple[float, Array]] = []
         """(mass kg, position (3,) m in the platform frame) of each extra mass."""
-        self.sensors: list[tuple[Any, int, np.random.Generator]] = []
-        """(fault, start ns, random numbers) of each fault of a sensor."""
+        self.sensors: list[Occurrence] = []
         self.bus_off = 0
         """Bit i is set if bus i is off by a fault."""
         self.not_finite = self.hangs = self.crashes = False
@@ -106,7 +103,7 @@ class Fault(Section):
         (entry, join, figure), fault = self.effect, cast("Any", self)
         value = getattr(fault, figure) if isinstance(figure, str) else figure
         if join is None:
-            getattr(present, entry).append((fault.leg, value, present.since_ns))
+            getattr(present, entry).append((fault.leg, value, present.own))
         elif hasattr(fault, "leg"):
             entries = getattr(present, entry)
             entries[fault.leg] = join(entries[fault.leg], value)

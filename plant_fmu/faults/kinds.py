@@ -6,7 +6,6 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from drivers.arrays import Array
 from drivers.config import MAX_BUSES
 from drivers.family import Family
 from drivers.protocol import BUS, Frame
@@ -47,16 +46,12 @@ class EncoderDrift(LegFault, kind="encoder_drift", effect=("drifts", None, "by_m
     by_m_s: float
 
 
-class EncoderNoise(LegFault, kind="encoder_noise"):
+class EncoderNoise(LegFault, kind="encoder_noise", effect=("noise", None, "sigma_m")):
     """White noise on the leg length in the feedback, with standard deviation `sigma_m`."""
 
     sigma_m: Annotated[float, Field(ge=0)]
     """Standard deviation of the length."""
     seed: Annotated[int, Field(ge=0)] = 0
-
-    def act(self, present: Present) -> None:
-        """Add this noise to the leg's other noise sources."""
-        present.noise.append((self.leg, self.sigma_m, present.generator))
 
 
 class EncoderLate(LegFault, kind="encoder_late", effect=("late_ns", later, "by_ms")):
@@ -95,19 +90,11 @@ class SensorFault(LastingFault):
 
     def act(self, present: Present) -> None:
         """Add this fault to those of the sensors."""
-        present.sensors.append((self, present.since_ns, present.generator))
-
-    def alter(self, _values: Array, _elapsed_s: float, _held: Array, _chance: np.random.Generator) -> bool:
-        """Change the measured values (6,), SI; held: those when the fault began. False: no sample."""
-        return True
+        present.sensors.append(present.own)
 
 
 class SensorLost(SensorFault, kind="sensor_lost"):
     """The sensor sends nothing."""
-
-    def alter(self, _values: Array, _elapsed_s: float, _held: Array, _chance: np.random.Generator) -> bool:
-        """No sample."""
-        return False
 
 
 class SensorLate(SensorFault, kind="sensor_late"):
@@ -119,21 +106,11 @@ class SensorLate(SensorFault, kind="sensor_late"):
 class SensorFrozen(SensorFault, kind="sensor_frozen"):
     """The sensor repeats the sample at the begin of the fault."""
 
-    def alter(self, values: Array, _elapsed_s: float, held: Array, _chance: np.random.Generator) -> bool:
-        """The held values."""
-        values[:] = held
-        return True
-
 
 class SensorOffset(SensorFault, kind="sensor_offset"):
     """The sensor's quantity `axis` is off by a constant, `by`, SI units (angles of a tracker: rad)."""
 
     by: float
-
-    def alter(self, values: Array, _elapsed_s: float, _held: Array, _chance: np.random.Generator) -> bool:
-        """Add the constant."""
-        values[self.axis] += self.by
-        return True
 
 
 class SensorDrift(SensorFault, kind="sensor_drift"):
@@ -141,22 +118,12 @@ class SensorDrift(SensorFault, kind="sensor_drift"):
 
     by: float
 
-    def alter(self, values: Array, elapsed_s: float, _held: Array, _chance: np.random.Generator) -> bool:
-        """Add the drift."""
-        values[self.axis] += self.by * elapsed_s
-        return True
-
 
 class SensorOutlier(SensorFault, kind="sensor_outlier"):
     """A share of the sensor's samples, `percent`, is off by `by` SI units in quantity `axis`."""
 
     by: float
     percent: Annotated[float, Field(gt=0, le=100)] = 1.0
-
-    def alter(self, values: Array, _elapsed_s: float, _held: Array, chance: np.random.Generator) -> bool:
-        """Add the error to some samples."""
-        values[self.axis] += self.by * (chance.random() < 0.01 * self.percent)
-        return True
 
 
 class DriveSilence(LegFault, kind="drive_silence", effect=("silent", last, True)):
@@ -334,9 +301,10 @@ class BusSecondController(SenderFault, kind="bus_second_controller"):
 
     def frames(self, protocol: Family, number: int) -> tuple[Frame, ...]:
         """SYNC and command frames of one tick; only the command if it is also the poll."""
-        from plant_fmu.faults.foreign_controller import opened  # noqa: PLC0415 - compiled code: not for who only reads a configuration
+        from plant_fmu.faults.foreign_controller import forged  # noqa: PLC0415 - compiled code: not for who only reads a configuration
 
-        return tuple(frame for frame in opened(protocol, self.force_N, number) if frame.bus == self.bus)
+        frames = forged(protocol, self.force_N, number, sync=True)
+        return tuple(frame for frame in frames if frame.bus == self.bus)
 
 
 class ProcessKill(Fault, kind="process_kill"):

@@ -42,7 +42,7 @@ class Schedule:
             )
             for n, fault in enumerate(plan.faults)
         ]
-        self._passages = [each for each in self._occurrences if isinstance(each.fault, Passage)]
+        self._passages = [(each.fault, each) for each in self._occurrences if isinstance(each.fault, Passage)]
 
     def starts_ns(self, fault: Fault) -> int:
         """Start of a fault of the plan, ns; NEVER_NS while it waits for a mode."""
@@ -77,16 +77,15 @@ class Schedule:
         """Combined effects of all faults on drives and plant at `t_ns`."""
         present = Present()
         for each in self.active(t_ns):
-            present.since_ns, present.generator = each.start_ns, each.generator
+            present.own = each
             each.fault.act(present)
         return present
 
     def carry(self, t_ns: int, frame: Frame, *, to_drives: bool) -> list[tuple[int, Frame, bool]]:
         """(arrival ns, frame, True if an extra node sent it) of each copy of a frame after all faults."""
         arriving = [(t_ns, frame, False)]
-        for own in self._passages:
-            fault = own.fault
-            if not (isinstance(fault, Passage) and own.start_ns <= t_ns < own.stop_ns):
+        for fault, own in self._passages:
+            if not own.start_ns <= t_ns < own.stop_ns:
                 continue
             place: Place = (to_drives, frame.bus, frame.id)
             arriving = [

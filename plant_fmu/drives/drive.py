@@ -66,10 +66,8 @@ class Drives:
         n.lags, n.lag_end = x > 0.0, exp(-x)
         n.lag_mean = (1.0 - exp(-x)) / x if x > 0.0 else exp(-x)
 
-    def connect(
-        self, t0_ns: int, end: DrivesEnd, plant: Moved, heartbeat_ns: float, reading_ns: float
-    ) -> None:
-        """Start the drives at `t0_ns` with their codec (protocol's end) and the plant's functions.
+    def connect(self, end: DrivesEnd, plant: Moved, heartbeat_ns: float, reading_ns: float) -> None:
+        """Start the drives with their codec (protocol's end) and the plant's functions.
 
         heartbeat_ns, reading_ns: periods of each drive's status and of its unrequested reading; 0: never.
         """
@@ -86,7 +84,7 @@ class Drives:
         n["messages"], n["asked"] = data_at(end.messages), data_at(self._asked)
         n["reading"], n["senders"] = data_at(self.reading), data_at(self._senders)
         n["out"], n["room"] = data_at(self.out), ROOM
-        n["t0_ns"] = n["now_ns"] = n["calm_ns"] = t0_ns
+        t0_ns = int(n["t0_ns"])
         n["beat_share"], n["reading_share"] = heartbeat_ns / LEGS, reading_ns / LEGS
         n["beat_ns"] = due_ns(t0_ns, 0, heartbeat_ns / LEGS)
         n["reading_ns"] = due_ns(t0_ns, 1, reading_ns / LEGS)

@@ -65,32 +65,40 @@ class Nodes:
 
     def start(self, t0_ns: int) -> None:
         """Power up at `t0_ns`: plant at its initial state, drives in BOOT, brakes engaged."""
-        length, rate = self._plant.reset()
-        gear = self._settings.transmission
-        self._transmission = transmission = None if gear is None else Transmission(gear)
-        self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
+        self._begin(t0_ns)
+        n, transmission = self._record, self._transmission
         self._end, self._moved = drives_end(self._protocol), moved(self._plant)
         often_ns = 1e6 * self._settings.heartbeat_ms, 1e9 * self._protocol.traits.unasked_s
-        self._drives.connect(t0_ns, self._end, self._moved, *often_ns)
-        self._record = n = self._drives.record
+        self._drives.connect(self._end, self._moved, *often_ns)
         if transmission is not None:
             n["geared"], n["full_loss_m_s"] = True, transmission.full_loss_m_s
             n["driving"], n["back_driving"] = transmission.driving, transmission.back_driving
-        n["length"], n["rate"] = length, rate
         n["h_ns"], n["quantum_m"] = self._h_ns, self._emulation.encoder_resolution_m
         self._switch_on([True] * LEGS)
-        self.schedule = Schedule(self._faults, t0_ns)
         gateway = Gateway(self.schedule, self._protocol, drives_end(self._protocol), t0_ns)
         self._gateway = gateway if self._faults.touches_frames else None
         self._spoiled = Reading()
         self._missed: list[Rows] = []
         self._frames = NO_FRAMES
+        self._apply_faults(t0_ns)
+
+    def _begin(self, t0_ns: int) -> None:
+        """Reset the plant, the record of the drives and the schedule of the faults."""
+        length, rate = self._plant.reset()
+        gear = self._settings.transmission
+        self._transmission = transmission = None if gear is None else Transmission(gear)
+        self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
+        self._record = n = self._drives.record
+        n["length"], n["rate"] = length, rate
+        n["t0_ns"] = n["now_ns"] = n["calm_ns"] = t0_ns
+        self.schedule = Schedule(self._faults, t0_ns)
         self.waiting = self.schedule.waiting
         """Faults that wait for a mode of the controller."""
+        self.bus_off = 0
+        """Bit i: a fault has cut bus i."""
         self._edges, self._present = self.schedule.edges_ns(t0_ns + 1), self.schedule.present(t0_ns)
         self._truth: Truth | None = None
         self._truth_k = -1
-        self._apply_faults(t0_ns)
 
     def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
         """`advance` for Python frames; returns pairs (time, ns, at which to queue it; frame to send)."""
@@ -106,8 +114,7 @@ class Nodes:
         instant is in time. Frames that faults delay or add may have later instants. The result is valid
         until the next call. Raises PlantError if `t_ns` is before the last one or the plant fails.
         """
-        if t_ns < self._record["now_ns"]:
-            raise PlantError(f"nodes: time {t_ns} ns is before that of the last call, {self.now_ns} ns")
+        self._check_time(t_ns)
         if self._present.hangs:
             self._missed.append(received.copy())
             if self.schedule.present(t_ns).hangs:
@@ -214,6 +221,10 @@ class Nodes:
 
     # time
 
+    def _check_time(self, t_ns: int) -> None:
+        if t_ns < self.now_ns:
+            raise PlantError(f"nodes: time {t_ns} ns is before that of the last call, {self.now_ns} ns")
+
     def _grid_ns(self) -> int:
         n = self._record
         return int(n["t0_ns"]) + round(int(n["k"]) * self._h_ns)
@@ -241,7 +252,6 @@ class Nodes:
         present, n = self._present, self._record
         self._note_edge()
         self.bus_off = present.bus_off
-        """Bit i: a fault has cut bus i."""
         if present.crashes:
             raise PlantError("the plant crashed: fault plant_crash")
         n["silent"] = sum(1 << leg for leg, silent in enumerate(present.silent) if silent)

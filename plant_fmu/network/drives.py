@@ -6,7 +6,6 @@ and their forces hold until the next instant.
 """
 
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,20 +18,20 @@ from drivers.errors import ConfigurationError, PlantError
 from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, received_frames, timed_array
 from drivers.protocol import ERROR, Frame, Received, off_bus
-from drivers.signals import LEGS, DriveFault, DriveState
+from drivers.signals import LEGS, DriveState
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drive_fmus import DriveFmus
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.drive_rules import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import LOADS, PROCESS
-from plant_fmu.faults.plan import FaultPlan, Schedule, weight
+from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.fmu.check import Reader, Start
 from plant_fmu.network import operations as op
 from plant_fmu.network.node import Node, Signals
 from plant_fmu.network.station import Station, Stations
 from plant_fmu.network.terminal import CanFmu, read_can_fmu
-from plant_fmu.plant import Plant, Truth
+from plant_fmu.plant import Plant
 
 _VARIABLES: dict[str, tuple[str, tuple[str, ...], set[str]]] = {
     "length": ("input", ("m",), {"Float64"}),
@@ -97,8 +96,7 @@ class FmuNodes(Nodes):
     The FMUs receive the controller's frames, not those of each other. BusNotifications stays false: they must
     not wait for Confirm. Of the faults those of the load and of the process act.
 
-    Mutable state: the hosted FMUs, the plant with its grid index, lengths, rates, forces and brakes, the
-    time, the schedule of the faults, frames of the start. `start` resets it.
+    Mutable state: that of `Nodes`, the hosted FMUs, frames of the start. `start` resets it.
     """
 
     def __init__(
@@ -140,18 +138,13 @@ class FmuNodes(Nodes):
     def start(self, t0_ns: int) -> None:
         """Power up at `t0_ns`: plant at its initial state, FMUs new. Raises PlantError as the constructor."""
         assert self._emulation.fmu is not None
-        self._t0_ns = self._now_ns = t0_ns
+        self._begin(t0_ns)
         self._step_ns = round(max(1, round(self._emulation.fmu.step_us * 1e3 / self._h_ns)) * self._h_ns)
-        self._k = 0
-        self._length, self._rate = (each.copy() for each in self._plant.reset())
-        self._force, self._brake = np.zeros(LEGS), np.zeros(LEGS)
-        self.schedule = Schedule(self._faults, t0_ns)
-        self.waiting, self.bus_off = self.schedule.waiting, 0
-        self._edges = self.schedule.edges_ns(t0_ns + 1)
+        self._set_wrench()
         if not self.stations or any(station.node.reached_ns for station in self.stations):
             self.close()
             for drive in self._fmus:
-                inputs = self._inputs(drive, self._length)
+                inputs = self._inputs(drive, self._record["length"])
                 name = f"{drive.fmu.path.name}, leg {drive.legs.start}"
                 node = Node(drive.fmu, name, notifications=False, starts=drive.starts, inputs=inputs)
                 self.stations.append(Station(node))
@@ -167,14 +160,13 @@ class FmuNodes(Nodes):
 
     def advance(self, t_ns: int, received: Rows) -> Rows:
         """Advance to `t_ns`, receiving FRAME records; returns the frames of the FMUs, in time order."""
-        if t_ns < self._now_ns:
-            raise PlantError(f"nodes: time {t_ns} ns is before that of the last call, {self._now_ns} ns")
+        self._check_time(t_ns)
         heard = sorted(received_frames(received), key=lambda each: each.t_ns)
         heard = [each._replace(t_ns=min(each.t_ns, t_ns)) for each in heard]
         sent, self._waits = self._waits, []
         while True:
             due_ns = min([self._due_ns(), *(each.t_ns for each in heard[:1])])
-            at_ns = min(max(due_ns, self._now_ns), t_ns)
+            at_ns = min(max(due_ns, self.now_ns), t_ns)
             early = [each for each in heard if each.t_ns <= at_ns]
             heard = heard[len(early) :]
             sent += [(at_ns, frame) for frame in self._go(at_ns, early)]
@@ -185,7 +177,7 @@ class FmuNodes(Nodes):
         """Advance to `t_ns`, and on until the `awaited` identifiers are sent, at most to `deadline_ns`."""
         out = [self.advance(t_ns, received)]
         missing = set(awaited).difference(out[0]["id"].tolist())
-        while missing and (due_ns := max(self._due_ns(), self._now_ns)) <= deadline_ns:
+        while missing and (due_ns := max(self._due_ns(), self.now_ns)) <= deadline_ns:
             out.append(self.advance(due_ns, NO_FRAMES))
             missing.difference_update(out[-1]["id"].tolist())
         return np.concatenate(out)
@@ -194,11 +186,6 @@ class FmuNodes(Nodes):
     def address(self) -> int:
         """Always 0: only `advance` is possible."""
         return 0
-
-    @property
-    def now_ns(self) -> int:
-        """Time that the drives have reached, ns."""
-        return self._now_ns
 
     @property
     def unasked(self) -> bool:
@@ -214,35 +201,19 @@ class FmuNodes(Nodes):
         return self._due_ns()
 
     @property
-    def syncs(self) -> int:
-        """0: what the frames mean is known by the FMUs only."""
-        return 0
-
-    def reached(self, mode: str) -> None:
-        """Start the faults whose times count from the instant at which the controller reaches `mode`."""
-        if self.schedule.reached(mode, self._now_ns):
-            self._edges = self.schedule.edges_ns(self._now_ns)
-        self.waiting = self.schedule.waiting
+    def _t0_ns(self) -> int:
+        return int(self._record["t0_ns"])
 
     def snapshot(self) -> Snapshot:
-        """State now: a drive is OFF while its brake is engaged, else RUN; frames are counted as rejected."""
-        truth = None
-        with suppress(PlantError):  # the next step reports it
-            truth = self._plant.truth()
-        return Snapshot(
-            self._t0_ns + round(self._k * self._h_ns),
-            self._length.copy(),
-            self._rate.copy(),
-            *(self._force.copy(), self._force.copy()),
-            (self._force if truth is None else truth.applied_force).copy(),
-            np.where(self._brake > 0.0, int(DriveState.OFF), int(DriveState.RUN)),
-            np.full(LEGS, int(DriveFault.NONE)),
-            self._brake.copy(),
-            self._wrench(),
-            truth,
-            *(0, 0, 0),  # SYNCs, commands: only the FMUs know
-            sum(station.corrupt + station.reported for station in self.stations),
-        )
+        """State now: a drive is OFF while its brake is engaged, else RUN; frames are counted as rejected.
+
+        SYNCs and commands stay 0: what the frames mean is known by the FMUs only.
+        """
+        n = self._record
+        n["state"] = np.where(n["brake"] > 0.0, int(DriveState.OFF), int(DriveState.RUN))
+        n["rejected"] = sum(station.corrupt + station.reported for station in self.stations)
+        n["command"] = n["force"]
+        return super().snapshot()
 
     def notes(self) -> list[str]:
         """Operations of FMUs that could not be read, and those that they could not read."""
@@ -260,22 +231,24 @@ class FmuNodes(Nodes):
 
     def _due_ns(self) -> int:
         """Next time, ns, at which something happens without a frame."""
-        own_ns = self.stations.next_ns(self._now_ns - self._t0_ns, self._step_ns)
+        own_ns = self.stations.next_ns(self.now_ns - self._t0_ns, self._step_ns)
         return min([self._t0_ns + own_ns, *self._edges[:1]])
 
     def _go(self, at_ns: int, heard: Sequence[Received]) -> list[Frame]:
         """Move plant and FMUs to an instant; returns the frames that the FMUs send."""
-        wrench = self._wrench()
-        self._now_ns, since_ns = at_ns, at_ns - self._t0_ns
-        k = round(since_ns / self._h_ns)
-        if k > self._k:
-            moved = self._plant.step(self._force, self._brake, wrench, (k - self._k) * self._h_s)
-            self._k, (self._length, self._rate) = k, moved
+        n, since_ns = self._record, at_ns - self._t0_ns
+        k, n["now_ns"] = round(since_ns / self._h_ns), at_ns
+        if (steps := k - int(n["k"])) > 0:
+            inputs = (n[name].copy() for name in ("force", "brake", "wrench"))
+            n["length"], n["rate"] = self._plant.step(*inputs, steps * self._h_s)
+            n["k"] = k
         while self._edges and self._edges[0] <= at_ns:
             del self._edges[0]
-        dt_s = 1e-9 * (since_ns - round(k * self._h_ns))
+            self._present = self.schedule.present(at_ns)
+        self._set_wrench()
+        length = n["length"] + n["rate"] * (1e-9 * (since_ns - round(k * self._h_ns)))
         for drive, station in zip(self._fmus, self.stations, strict=True):
-            for each in self._inputs(drive, self._length + self._rate * dt_s):
+            for each in self._inputs(drive, length):
                 station.node.put(each)
         operations = [op.from_frame(off_bus(frame)) for _, frame in heard if not frame.flags & ERROR]
         for station in self.stations:
@@ -287,22 +260,14 @@ class FmuNodes(Nodes):
 
     def _inputs(self, drive: _Drive, length: Array) -> list[Signals]:
         """Input variables of a drive, set to `length` and the rates."""
-        for key, values in zip(_INPUTS, (length, self._rate), strict=True):
+        for key, values in zip(_INPUTS, (length, self._record["rate"]), strict=True):
             if signals := drive.signals.get(key):
                 signals.values[:] = values[drive.legs]
         return [drive.signals[key] for key in _INPUTS if key in drive.signals]
 
     def _read_outputs(self) -> None:
         for drive, station in zip(self._fmus, self.stations, strict=True):
-            for key, into in zip(_OUTPUTS, (self._force, self._brake), strict=True):
+            for key in _OUTPUTS:
                 if signals := drive.signals.get(key):
                     station.node.get(signals)
-                    into[drive.legs] = signals.values
-
-    def _wrench(self) -> Array:
-        if not self.schedule.active(self._now_ns):
-            return np.zeros(LEGS)
-        present = self.schedule.present(self._now_ns)
-        truth: Truth | None = self._plant.truth() if present.masses else None
-        more = 0.0 if truth is None else weight(present.masses, truth, self._faults.gravity)
-        return np.asarray(present.wrench + more)
+                    self._record[key][drive.legs] = signals.values

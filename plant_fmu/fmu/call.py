@@ -26,7 +26,7 @@ FMU = np.dtype(
         *((name, "<i8") for name in ("inputs", "input_count", "held", "outputs", "output_count")),
         *((name, "<i8") for name in ("brake_references", "brake_count", "brakes", "brake_bytes")),
         ("slots", "<i8", (3,)),
-        *((name, "<i8") for name in ("ready", "stepped", "ticks", "known", "status", "warned")),
+        *((name, "<i8") for name in ("ready", "stepped", "ticks", "known", "status")),
         ("flags", "u1", (8,)),
         ("last", "<f8", (1,)),
         ("step_s", "<f8"),
@@ -38,8 +38,8 @@ the brakes are real numbers. Addresses and numbers of the value references that 
 inputs, of the bits of the inputs that the FMU has, and of outputs. For set_brake: address and number of its
 value references, address of its values, bytes of a value. Indices of force, brake and wrench in the inputs,
 -1 if the FMU lacks them. True if it is initialised; true if a step was requested since then; internal steps
-since then; true if applied forces are known; last status of the FMU; number of calls that returned a warning.
-The three flags of DoStep and its last time; internal step in s; leg lengths m at the FMU's length 0."""
+since then; true if applied forces are known; last status of the FMU. The three flags of DoStep and its last
+time; internal step in s; leg lengths m at the FMU's length 0."""
 WARNING = 1
 """The worst status of both standards that is still a success."""
 _TERMINATED, _EARLY = 1, 2
@@ -55,11 +55,8 @@ def succeeded(status: int) -> bool:
 def _called(fmu: Any, function: int, given: Any, counted: Any) -> int:
     """Call an FMI function; FMI 3 has the extra arguments `counted`. Returns the FMI status."""
     if fmu.counted:
-        status = int(call(function, (fmu.instance, *given, *counted)))
-    else:
-        status = int(call(function, (fmu.instance, *given)))
-    fmu.warned += status == WARNING
-    return status
+        return int(call(function, (fmu.instance, *given, *counted)))
+    return int(call(function, (fmu.instance, *given)))
 
 
 @helper

@@ -8,6 +8,7 @@ import math
 import re
 import zipfile
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -79,8 +80,8 @@ class Interface:
     """Path of the shared library inside the archive."""
     inputs: dict[str, tuple[int, ...]]
     """force, and wrench and brake if the FMU has them, brake last -> value references of six values."""
-    brake_type: str
-    """Type of the brakes: one of `FLOATS` or `SWITCHES`; empty if the FMU has no brakes."""
+    set_brake: tuple[str, int] | None
+    """(setter, bytes per value) of brake inputs that are integer or Boolean; None if they are real."""
     outputs: dict[str, tuple[int, ...]]
     """length, rate, and the truth if it is known -> value references."""
     rod_force: tuple[int, ...]
@@ -89,38 +90,23 @@ class Interface:
     assumed: dict[str, str]
     """Variable -> unit from the configuration, as the description declares none."""
 
-    @property
-    def set_brake(self) -> tuple[str, int] | None:
-        """(setter, bytes per value) of brake inputs that are integer or Boolean; None if they are real."""
-        if self.brake_type not in SWITCHES:
-            return None
-        bits = re.search("[0-9]+$", self.brake_type)
-        size = int(bits[0]) // 8 if bits else 4 if self.major < 3 else 1  # fmi2Boolean is an int
-        return f"fmi{self.major}Set{self.brake_type}", size
-
     def unfit_step(self, step_s: float) -> str:
         """Text if steps of `step_s` s differ from the step that the description fixes; empty if they fit."""
-        face = self.description.coSimulation
-        fixed = getattr(face, "fixedInternalStepSize", None)
-        key, stated = "fixedInternalStepSize", fixed
-        if fixed is None:
-            if face.canHandleVariableCommunicationStepSize or self.description.defaultExperiment is None:
-                return ""
-            key = "canHandleVariableCommunicationStepSize false, stepSize"
-            stated = self.description.defaultExperiment.stepSize
-        try:
+        face, experiment = self.description.coSimulation, self.description.defaultExperiment
+        stated = getattr(face, "fixedInternalStepSize", None)
+        if stated is None and experiment and not face.canHandleVariableCommunicationStepSize:
+            stated = experiment.stepSize
+        with suppress(ValueError):
             own_s = float(stated or 0.0)
-        except ValueError:
-            return ""
-        if not 0.0 < own_s < math.inf or abs(step_s / own_s - max(1, round(step_s / own_s))) < 1e-9:
-            return ""
-        fit_s = own_s * math.ceil(step_s / own_s - 1e-9)
-        return (
-            f"its own step is {own_s:g} s ({key}) and does not divide plant.model.step_us {1e6 * step_s:g}: "
-            "it refuses to step, or its outputs stand still between its own steps. Write "
-            f"plant.model.step_us: {1e6 * fit_s:g} with a loop.rate_Hz of at most {1.0 / fit_s:g}, or export "
-            f"it with a step of {step_s:g} s"
-        )
+            if 0.0 < own_s < math.inf and abs(step_s / own_s - max(1, round(step_s / own_s))) >= 1e-9:
+                fit_s = own_s * math.ceil(step_s / own_s - 1e-9)
+                return (
+                    f"its own step is {own_s:g} s and does not divide plant.model.step_us {1e6 * step_s:g}: "
+                    "it refuses to step, or its outputs stand still between its own steps. Write plant.model."
+                    f"step_us: {1e6 * fit_s:g} with a loop.rate_Hz of at most {1.0 / fit_s:g}, or export it "
+                    f"with a step of {step_s:g} s"
+                )
+        return ""
 
 
 def shown(text: str) -> str:
@@ -245,13 +231,7 @@ class Reader:
         found = self.find(name)
         first = found[0]
         values = list(value) if isinstance(value, list) else [value]
-        settable = first.causality in {"parameter", "input"}
-        if first.causality == "structuralParameter":
-            raise PlantError(
-                f"{self.path}: parameters: {name!r} is a structuralParameter, which hil cannot set "
-                "(FMI 3.0: Configuration Mode); change its start value in the FMU"
-            )
-        if first.variability == "constant" or not settable:
+        if first.variability == "constant" or first.causality not in {"parameter", "input"}:
             raise PlantError(
                 f"{self.path}: parameters: {name!r}: causality {first.causality}; only parameters can be set"
             )
@@ -276,23 +256,18 @@ class Reader:
         kind = variable.type
         if kind in FLOATS or kind == "Float32":
             return float(value)
-        if kind in _INTEGERS:
-            return self._integer(variable, value)
+        if kind in _INTEGERS:  # an enumeration also accepts the names of its items
+            items = enumerate(variable.declaredType.items if variable.declaredType else (), start=1)
+            named = {item.name: i if item.value is None else int(item.value) for i, item in items}
+            number = named.get(value, value)
+            if isinstance(number, bool) or float(number) != int(number):
+                raise ValueError(number)
+            return int(number)
         if kind == "Boolean" and isinstance(value, bool):
             return value
         if kind == "String":
             return str(value)
         raise ValueError(kind)
-
-    def _integer(self, variable: Any, value: float | bool | str) -> int:
-        """A configured value as integer; an enumeration also accepts the names of its items."""
-        if isinstance(value, str) and variable.declaredType is not None:
-            for i, item in enumerate(variable.declaredType.items, start=1):
-                if item.name == value:
-                    return int(item.value) if item.value is not None else i
-        if isinstance(value, bool) or float(value) != int(value):
-            raise ValueError(value)
-        return int(value)
 
 
 def major(description: Any) -> int:
@@ -300,24 +275,16 @@ def major(description: Any) -> int:
     return int(description.fmiVersion.split(".")[0])
 
 
-def library_candidates(major: int, identifier: str) -> list[str]:
-    """Possible paths of this machine's shared library inside an FMU, preferred first.
-
-    FMI 2.0 has folders for x86 processors only; on ARM `linux64` may hold a binary of another processor.
-    """
-    file = f"{identifier}{fmpy.sharedLibraryExtension}"
-    modern, plain = f"binaries/{fmpy.platform_tuple}/{file}", f"binaries/{fmpy.platform}/{file}"
-    if major >= 3:
-        return [modern]
-    return [plain, modern] if fmpy.platform_tuple.startswith("x86") else [modern, plain]
-
-
 def library(description: Any, members: Sequence[str], path: Path) -> str:
     """Path of this machine's shared library in the archive; members: names in the archive.
 
+    FMI 2.0 has folders for x86 processors only; on ARM `linux64` may hold a binary of another processor.
     Raises PlantError if there is no binary for this machine.
     """
-    candidates = library_candidates(major(description), description.coSimulation.modelIdentifier)
+    file = f"{description.coSimulation.modelIdentifier}{fmpy.sharedLibraryExtension}"
+    candidates = [f"binaries/{fmpy.platform_tuple}/{file}"]
+    if major(description) < 3:
+        candidates.insert(not fmpy.platform_tuple.startswith("x86"), f"binaries/{fmpy.platform}/{file}")
     for candidate in candidates:
         if candidate in members:
             return candidate
@@ -328,17 +295,8 @@ def library(description: Any, members: Sequence[str], path: Path) -> str:
     )
 
 
-def _refuse_tool(description: Any, spec: FmuSpec) -> None:
-    if description.coSimulation.needsExecutionTool and not spec.allow_execution_tool:
-        tool = shown(description.generationTool or "the tool that made it")
-        raise PlantError(
-            f"{spec.path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone "
-            "FMU or, if that tool is on this machine, write plant.model.allow_execution_tool: true"
-        )
-
-
-def described(path: Path) -> Any:
-    """Model description of an FMU, as FMPy reads it.
+def described(path: Path) -> tuple[Any, list[str]]:
+    """Model description of an FMU, as FMPy reads it, and the names in the archive.
 
     Raises PlantError on a file that `open_archive` refuses, a description that cannot be read, an unsupported
     FMI version, and an FMU without co-simulation interface.
@@ -346,6 +304,7 @@ def described(path: Path) -> Any:
     read = io.BytesIO()  # fmpy knows no other names than these
     try:
         with open_archive(path) as archive, zipfile.ZipFile(read, "w") as parsed:
+            members = archive.namelist()
             for member in archive.infolist():
                 if member.filename in PARSED:
                     parsed.writestr(member.filename, archive.read(member))
@@ -359,28 +318,37 @@ def described(path: Path) -> Any:
         raise PlantError(f"{path}: FMI {shown(version)}; 2.0 and 3.0 can be hosted")
     if description.coSimulation is None:
         raise PlantError(f"{path}: the FMU has no co-simulation interface; export it for co-simulation")
-    return description
+    return description, members
 
 
-def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
+def read_interface(spec: FmuSpec) -> Interface:
     """Interface of an FMU (variables, binary, start values), checked against `spec`.
 
-    members: names in the archive. Checked are FMI version, co-simulation, a binary for this machine, the
-    parameters, and for each mapped variable existence, causality, type, unit and number of elements. Raises
-    PlantError with the variable, its property and the required one.
+    Checked are FMI version, co-simulation, a binary for this machine, the parameters, and for each mapped
+    variable existence, causality, type, unit and number of elements. Raises PlantError with the variable, its
+    property and the required one.
     """
     path = Path(spec.path)
-    description = described(path)
+    description, members = described(path)
     binary = library(description, members, path)
-    _refuse_tool(description, spec)
+    if description.coSimulation.needsExecutionTool and not spec.allow_execution_tool:
+        tool = shown(description.generationTool or "the tool that made it")
+        raise PlantError(
+            f"{path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone "
+            "FMU or, if that tool is on this machine, write plant.model.allow_execution_tool: true"
+        )
     reader = Reader(description, spec.path, spec.assume_unit)
     inputs = {"force": reader.channel("force", spec.force, "input", ("N",))}
     if spec.wrench:
         inputs["wrench"] = reader.channel("wrench", spec.wrench, "input", ("N", "N.m"))
-    brake_type = ""
+    set_brake = None
     if spec.brake:
         inputs["brake"] = reader.channel("brake", spec.brake, "input", (), types=FLOATS | SWITCHES)
-        brake_type = reader.find(spec.brake[0])[0].type
+        kind = reader.find(spec.brake[0])[0].type
+        if kind in SWITCHES:
+            bits = re.search("[0-9]+$", kind)
+            size = int(bits[0]) // 8 if bits else 4 if reader.major < 3 else 1  # fmi2Boolean is an int
+            set_brake = f"fmi{reader.major}Set{kind}", size
     outputs = {
         "length": reader.channel("length", spec.length, "output", ("m",)),
         "rate": reader.channel("rate", spec.rate, "output", ("m/s",)),
@@ -390,5 +358,5 @@ def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
     starts = tuple(reader.start(name, value) for name, value in spec.parameters.items())
     rod = reader.channel("truth", [spec.rod_force], "output", ()) if spec.rod_force else ()
     return Interface(
-        description, reader.major, binary, inputs, brake_type, outputs, rod, starts, reader.assumed
+        description, reader.major, binary, inputs, set_brake, outputs, rod, starts, reader.assumed
     )

@@ -31,10 +31,6 @@ START_TIMEOUT_S = 60.0
 STEP_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 10.0
 """Time limit for freeing the FMU and ending the interpreter."""
-_RESET: tuple[()] = ()
-"""Request for a reset; a request for a step has the arguments of `FmuHost.step`."""
-_NOTES, _RODS = "notes", "rods"
-"""Request for `FmuHost.notes`."""
 _LIFE_CHECK_MS = 1000
 
 
@@ -128,16 +124,16 @@ class ChildHost:
 
     def _reset(self) -> tuple[Array, Array]:
         _follow(self._process.pid)
-        return self._measured(_RESET, START_TIMEOUT_S, "reset")
+        return self._measured(("reset",), START_TIMEOUT_S)
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """Step as `FmuHost.step`; also raises PlantError when the FMU hangs or its process dies."""
         # Lists: pickling an array takes ten times as long.
-        question = force.tolist(), brake.tolist(), wrench.tolist(), dt_s
-        return self._measured(question, STEP_TIMEOUT_S, "step")
+        question = "step", force.tolist(), brake.tolist(), wrench.tolist(), dt_s
+        return self._measured(question, STEP_TIMEOUT_S)
 
-    def _measured(self, question: Any, timeout_s: float, what: str) -> tuple[Array, Array]:
-        measured, self._truth = self._ask(question, timeout_s, what)
+    def _measured(self, question: tuple[Any, ...], timeout_s: float) -> tuple[Array, Array]:
+        measured, self._truth = self._ask(question, timeout_s, question[0])
         return np.array(measured[0]), np.array(measured[1])
 
     def truth(self) -> Truth | None:
@@ -152,7 +148,7 @@ class ChildHost:
 
     def rod_force(self) -> Array | None:
         """Forces (6,) N between drives and rods; None if the FMU's output for them is unknown."""
-        return self._ask(_RODS, STEP_TIMEOUT_S, "report")  # type: ignore[no-any-return]
+        return self._ask(("rod_force",), STEP_TIMEOUT_S, "report")  # type: ignore[no-any-return]
 
     def notes(self) -> list[str]:
         """Warnings of the FMU in this child; for a child that has ended, only those of its reset."""
@@ -160,7 +156,7 @@ class ChildHost:
         own: list[str] = []
         if self._ended is None:
             with contextlib.suppress(PlantError):  # it has ended
-                own = self._ask(_NOTES, STEP_TIMEOUT_S, "report")
+                own = self._ask(("notes",), STEP_TIMEOUT_S, "report")
         return [found] * bool(self._cannot_reset) + own
 
     def close(self) -> None:
@@ -229,7 +225,10 @@ def _bound_memory(most_GB: float) -> None:
 
 
 def serve(line: Connection, parent: int, folder: str) -> None:
-    """Main loop of the child: load an FMU, then answer requests until None or the parent's end."""
+    """Main loop of the child: load an FMU, then answer requests until None or the parent's end.
+
+    A request has the name of a method of FmuHost and its arguments.
+    """
     ending = threading.Thread(target=_end_with_parent, args=(line, parent, folder), daemon=True)
     ending.start()
     host: FmuHost | None = None
@@ -240,13 +239,10 @@ def serve(line: Connection, parent: int, folder: str) -> None:
                 if host is None:
                     _bound_memory(question.memory_GB)
                     host, answer = FmuHost(question), None
-                elif question == _NOTES:
-                    answer = host.notes()
-                elif question == _RODS:
-                    answer = host.rod_force()
                 else:
-                    measured = host.step(*question) if question else host.reset()
-                    answer = [each.tolist() for each in measured], host.truth()
+                    answer = getattr(host, question[0])(*question[1:])
+                    if question[0] in ("reset", "step"):
+                        answer = [each.tolist() for each in answer], host.truth()
             except HilError as error:
                 answer = str(error)
             except MemoryError:

@@ -8,6 +8,7 @@ import ctypes as ct
 import os
 import sys
 import tempfile
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,21 @@ from plant_fmu.fmu.archive import extract, open_archive
 from plant_fmu.fmu.check import FmuSpec, Interface, Start, read_interface, shown
 from plant_fmu.plant import Moved, PointedPlant, Truth, truth_of
 
-_MESSAGES = 20
 _REFUSED = {fmu_call.INPUTS_REFUSED: "take its inputs", fmu_call.OUTPUTS_REFUSED: "give its outputs"}
 _LABELS = {2: "discard", 3: "error", 4: "fatal", 5: "pending"}
+
+
+def instantiate(folder: str, description: Any, library: str, logger: Any, **more: Any) -> Any:
+    """Load and instantiate an FMU that is unpacked in `folder`; more: arguments of FMPy. Raises any error."""
+    here = Path.cwd()
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # fmpy prints messages that it cannot format
+            path = str(Path(folder) / library)
+            return instantiate_fmu(
+                folder, description, "CoSimulation", logger=logger, library_path=path, **more
+            )
+    finally:
+        os.chdir(here)  # fmpy stays in the library's folder when loading fails
 
 
 def _address(fmu: Any, name: str) -> int:
@@ -52,14 +65,14 @@ class FmuHost(PointedPlant):
         self._record = np.zeros((), fmu_call.FMU)
         self._initialised = False
         self._cannot_reset = ""
-        self._messages: list[str] = []
-        self._warned, self._first_warning = 0, ""
+        self._messages: deque[str] = deque(maxlen=20)
+        self._warnings, self._first_warning = 0, ""
         self._first: Array = np.zeros(0)
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         try:
             path = Path(spec.path)
+            self._interface: Interface = read_interface(spec)
             with open_archive(path) as archive:
-                self._interface: Interface = read_interface(archive.namelist(), spec)
                 extract(archive, path, Path(self._folder.name))
             self._prepare_calls()
             self._load()
@@ -71,25 +84,20 @@ class FmuHost(PointedPlant):
             raise
 
     def _load(self) -> None:
-        description, folder = self._interface.description, self._folder.name
-        here = Path.cwd()
+        description = self._interface.description
         try:
-            with contextlib.redirect_stdout(sys.stderr):  # fmpy prints messages that it cannot format
-                self._fmu = instantiate_fmu(
-                    folder,
-                    description,
-                    "CoSimulation",
-                    logger=lambda *given: self._log(given[-3], given[-1]),  # both standards end alike
-                    library_path=str(Path(folder) / self._interface.library),
-                )
+            self._fmu = instantiate(
+                self._folder.name,
+                description,
+                self._interface.library,
+                lambda *given: self._log(given[-3], given[-1]),  # both standards end alike
+            )
         except AttributeError as error:
             raise PlantError(
                 f"{self.spec.path}: the binary lacks a function of FMI {description.fmiVersion}: {error}"
             ) from error
         except Exception as error:
             raise self._error(f"the FMU cannot be loaded: {error}") from error
-        finally:
-            os.chdir(here)  # fmpy stays in the library's folder when loading fails
         three, record = self._interface.major >= 3, self._record
         reals = ("fmi3SetFloat64", "fmi3GetFloat64") if three else ("fmi2SetReal", "fmi2GetReal")
         functions = (*reals, "fmi3DoStep" if three else "fmi2DoStep")
@@ -102,9 +110,8 @@ class FmuHost(PointedPlant):
     def _log(self, status: int, message: bytes | None) -> None:
         text = (message or b"").decode("utf-8", "replace").strip()
         self._messages.append(text)
-        del self._messages[:-_MESSAGES]
         if status == fmu_call.WARNING:
-            self._warned += 1
+            self._warnings += 1
             self._first_warning = self._first_warning or shown(text)
 
     def _reported(self) -> str:
@@ -258,11 +265,9 @@ class FmuHost(PointedPlant):
         found, reason = [], self._cannot_reset
         if reason:
             found.append(f"the FMU cannot be reset, so each new start gets a fresh instance of it: {reason}")
-        if count := max(int(self._record["warned"]), self._warned):
-            first = (
-                f"the first message: {self._first_warning}" if self._first_warning else "without a message"
-            )
-            found.append(f"warnings of the FMU: {count}, {first}")
+        if self._warnings:
+            first = f"the first message: {self._first_warning}"
+            found.append(f"warnings of the FMU: {self._warnings}, {first}")
         return found
 
     def close(self) -> None:

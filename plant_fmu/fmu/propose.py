@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import PlantError
-from plant_fmu.fmu.archive import open_archive
 from plant_fmu.fmu.check import FLOATS, SWITCHES, described, library, stated_unit
 
 _ROLES = {
@@ -56,9 +55,7 @@ class Proposal:
 
 def propose(path: Path) -> Proposal:
     """Read an FMU's description and propose a map. Raises PlantError if the FMU cannot be read or hosted."""
-    with open_archive(path) as archive:
-        members = archive.namelist()
-    description = described(path)
+    description, members = described(path)
     groups = _groups_of_six([v for v in description.modelVariables if v.type in FLOATS | SWITCHES])
     mapped: dict[str, tuple[str, ...]] = {}
     unstated: dict[str, str] = {}

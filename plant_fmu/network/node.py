@@ -5,8 +5,6 @@ Times are whole ns from the start of the simulation. The FMU can crash this proc
 
 import contextlib
 import ctypes as ct
-import os
-import sys
 import tempfile
 from collections import deque
 from collections.abc import Sequence
@@ -14,11 +12,11 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from fmpy.simulation import instantiate_fmu
 
 from drivers.errors import PlantError
 from plant_fmu.fmu.archive import extract, open_archive
 from plant_fmu.fmu.check import Start, shown
+from plant_fmu.fmu.host import instantiate
 from plant_fmu.network.terminal import CanFmu
 
 _ROUNDS = 1000
@@ -88,18 +86,15 @@ class Node:
     due_ns: int | None
 
     def _load(self, notifications: bool, starts: Sequence[Start], inputs: Sequence[Signals]) -> None:
-        here = Path.cwd()
         try:
-            with contextlib.redirect_stdout(sys.stderr):  # fmpy prints messages that it cannot format
-                slave = self._slave = instantiate_fmu(
-                    self._folder.name,
-                    self.fmu.description,
-                    "CoSimulation",
-                    logger=lambda *given: self._messages.append((given[-1] or b"").decode(errors="replace")),
-                    library_path=str(Path(self._folder.name) / self.fmu.library),
-                    event_mode_used=True,
-                    early_return_allowed=True,
-                )
+            slave = self._slave = instantiate(
+                self._folder.name,
+                self.fmu.description,
+                self.fmu.library,
+                lambda *given: self._messages.append((given[-1] or b"").decode(errors="replace")),
+                event_mode_used=True,
+                early_return_allowed=True,
+            )
             self._functions = slave._functions  # noqa: SLF001 - fmpy's only table of them
             switch = self.terminal.notifications
             if notifications and switch is not None:
@@ -118,8 +113,6 @@ class Node:
             raise
         except Exception as error:  # fmpy raises many types
             raise self._error(f"the CAN FMU cannot be started: {error}") from error
-        finally:
-            os.chdir(here)  # fmpy stays in the library's folder when loading fails
 
     def next_ns(self) -> int | None:
         """Next time, ns, at which it has to be stepped for its own sake; None if it only reacts."""

@@ -65,7 +65,7 @@ def read_can_fmu(path: Path, terminal: str = "") -> CanFmu:
     The version in MIME types is not compared: nodes of the beta releases have the same bytes. Raises
     PlantError with the terminals or the property that does not fit.
     """
-    description = described(path)
+    description, names = described(path)
     interface = description.coSimulation
     if major(description) < 3 or not interface.hasEventMode:
         raise PlantError(
@@ -75,7 +75,6 @@ def read_can_fmu(path: Path, terminal: str = "") -> CanFmu:
     if interface.needsExecutionTool:
         raise PlantError(f"{path}: the FMU needs its tool at run time; export a stand-alone FMU")
     with open_archive(path) as archive:
-        names = archive.namelist()
         root, declared = (_parsed(path, archive, names, file) for file in (_FILE, "modelDescription.xml"))
     variables = {each.get("name", ""): each for each in declared.iterfind("ModelVariables/*")}
     can = {

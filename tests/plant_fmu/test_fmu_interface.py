@@ -61,9 +61,9 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Any:
             coSimulation=SimpleNamespace(modelIdentifier="model", needsExecutionTool=needs_tool),
             generationTool="maker",
         )
-        monkeypatch.setattr(check, "described", lambda _: description)
+        monkeypatch.setattr(check, "described", lambda _: (description, list(members)))
         names = {name: [name] for name in UNITS}
-        return read_interface(members, FmuSpec.model_construct(**{"path": "a.fmu", **names, **settings}))
+        return read_interface(FmuSpec.model_construct(**{"path": "a.fmu", **names, **settings}))
 
     return of
 

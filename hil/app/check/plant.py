@@ -1,7 +1,5 @@
 """Figures of `hil check` about the FMU of a plant: its mapping, and its response to pushes."""
 
-from pathlib import Path
-
 import numpy as np
 
 from hil.app.check.report import Report
@@ -22,14 +20,12 @@ def plant(r: Report) -> None:
         build_nodes(c)[1].close()
     if c.plant is None or not isinstance(c.plant.model, FmuPlant):
         return
-    from plant_fmu.fmu.archive import open_archive  # noqa: PLC0415 - FMU tools, where one is the plant
-    from plant_fmu.fmu.check import fmu_spec, read_interface, shown  # noqa: PLC0415
+    from plant_fmu.fmu.check import fmu_spec, read_interface, shown  # noqa: PLC0415 - FMU tools, where one is the plant
     from plant_fmu.fmu.probe import probe  # noqa: PLC0415
 
     model = c.plant.model
     spec = fmu_spec(model, c.folder)
-    with open_archive(Path(spec.path)) as archive:
-        face = read_interface(archive.namelist(), spec)
+    face = read_interface(spec)
     description = face.description
     _, hosted = build_nodes(c)
     try:

@@ -120,6 +120,15 @@ def stated_unit(variable: Any) -> str | None:
     return variable.unit or of_type or None
 
 
+def reference(path: str, name: str, stated: str) -> int:
+    """Value reference of a variable as a number, from its text. Raises PlantError if it is invalid."""
+    if stated.isascii() and stated.isdigit() and int(stated) <= MAX_REFERENCE:
+        return int(stated)
+    raise PlantError(
+        f"{path}: variable {name!r} has the valueReference {stated!r}; 0 to {MAX_REFERENCE} are allowed"
+    )
+
+
 class Reader:
     """Finds and checks variables of an FMU. Mutable state: the units that were assumed."""
 
@@ -145,13 +154,7 @@ class Reader:
 
     def reference(self, variable: Any) -> int:
         """Value reference of a variable, as a number. Raises PlantError if it is invalid."""
-        stated = str(variable.valueReference)
-        if stated.isascii() and stated.isdigit() and int(stated) <= MAX_REFERENCE:
-            return int(stated)
-        raise PlantError(
-            f"{self.path}: variable {variable.name!r} has the valueReference {stated!r}; "
-            f"0 to {MAX_REFERENCE} are allowed"
-        )
+        return reference(self.path, variable.name, str(variable.valueReference))
 
     def _check_unit(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
         name = stated_unit(variable)

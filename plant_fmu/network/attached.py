@@ -65,23 +65,18 @@ class Attached:
     def send(self, operations: Iterable[tuple[int, Operation]]) -> None:
         """Send the frames of Transmit operations, each with the index of its station."""
         for index, operation in operations:
-            self._send(index, op.to_frame(operation))
-
-    def _send(self, index: int, frame: Frame) -> None:
-        link = self._links[index]
-        try:
-            taken = link.send(sent_array([frame]))
-        except BusError:
-            self.stations[index].refuse(op.encode([op.from_frame(frame)]))
-            return
-        if not taken:
-            self.unsent += 1
-            return
-        self.frames += 1
-        if link.knows_ends:
-            self._pending[index].append(frame)
-        else:
-            self._confirm(index, frame)
+            link, frame = self._links[index], op.to_frame(operation)
+            try:
+                taken = link.send(sent_array([frame]))
+            except BusError:
+                self.stations[index].refuse(op.encode([operation]))
+                continue
+            self.frames += taken
+            self.unsent += not taken
+            if taken and link.knows_ends:
+                self._pending[index].append(frame)
+            elif taken:
+                self._confirm(index, frame)
 
     def _confirm(self, index: int, frame: Frame) -> None:
         self.stations[index].inbox.append(Operation(Code.CONFIRM, (frame.id,)))

@@ -195,7 +195,7 @@ class FmuNodes(Nodes):
     @property
     def next_reading_ns(self) -> int:
         """Time, ns, at which an FMU sends of its own accord: its countdown, else each communication step."""
-        if all(station.node.terminal.countdown for station in self.stations):
+        if all(station.node.fmu.countdown for station in self.stations):
             dues = (station.node.next_ns() for station in self.stations)
             return self._t0_ns + min((due for due in dues if due is not None), default=NEVER_NS)
         return self._due_ns()

@@ -58,17 +58,13 @@ class Node:
         notifications: set its parameter BusNotifications, if it has one. starts: parameters to set. inputs:
         their values at time 0. Raises PlantError.
         """
-        self.name, self.fmu, self.terminal = name, fmu, fmu.terminal
+        self.name, self.fmu = name, fmu
         self.reached_ns, self.due_ns, self._wants_event = 0, None, True
         self._slave: Any = None
         self._in_event_mode = True
         self._messages: deque[str] = deque(maxlen=5)
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
-        terminal = self.terminal
-        self._references = {
-            each: (ct.c_uint32 * 1)(each)
-            for each in (terminal.rx_data, terminal.rx_clock, terminal.tx_data, terminal.tx_clock)
-        }
+        self._references = {member: (ct.c_uint32 * 1)(each) for member, each in fmu.references.items()}
         self._clock, self._on = (ct.c_bool * 1)(), (ct.c_bool * 1)(True)
         self._interval, self._qualifier = (ct.c_double * 1)(), (ct.c_int * 1)()
         self._flags, self._reals = (ct.c_bool * 5)(), (ct.c_double * 1)()
@@ -96,12 +92,12 @@ class Node:
                 early_return_allowed=True,
             )
             self._functions = slave._functions  # noqa: SLF001 - fmpy's only table of them
-            switch = self.terminal.notifications
+            switch = self.fmu.notifications
             if notifications and switch is not None:
-                if self.terminal.structural:
+                if self.fmu.structural:
                     slave.enterConfigurationMode()
                 slave.setBoolean([switch], [True])
-                if self.terminal.structural:
+                if self.fmu.structural:
                     slave.exitConfigurationMode()
             for start in starts:
                 getattr(slave, f"set{start.setter}")(list(start.references), list(start.values))
@@ -133,7 +129,7 @@ class Node:
             to_ns -= to_ns % self.fmu.step_ns
         if to_ns <= self.reached_ns:
             return
-        self._step_mode()
+        self._enter(event_mode=False)
         for _ in range(_ROUNDS):
             begin_ns = self.reached_ns
             size_ns = self.fmu.step_ns or to_ns - begin_ns
@@ -149,9 +145,9 @@ class Node:
                 self._wants_event = bool(event)
                 return
             if event:  # an event of its own: a bus communication point is only at the end of a step
-                self._event_mode()
+                self._enter(event_mode=True)
                 self._update()
-                self._step_mode()
+                self._enter(event_mode=False)
         raise self._error(f"the FMU returns early from each step at {self.reached_ns} ns")
 
     def exchange(self, received: bytes) -> bytes:
@@ -163,23 +159,26 @@ class Node:
         due = self.due_ns is not None and self.due_ns <= self.reached_ns
         if not (received or due or self._wants_event):
             return b""
-        self._event_mode()
-        terminal, parts = self.terminal, []
+        self._enter(event_mode=True)
+        parts = []
         if due:
             self.due_ns = None
-            self._set_clock(terminal.tx_clock)
+            self._of("fmi3SetClock", "Tx_Clock", self._on)
         if received:
-            self._set_clock(terminal.rx_clock)
+            self._of("fmi3SetClock", "Rx_Clock", self._on)
             content = ct.create_string_buffer(received, len(received))
             self._value[0], self._size[0] = ct.cast(content, self._bytes), len(received)
-            self._call("fmi3SetBinary", self._references[terminal.rx_data], 1, self._size, self._value, 1)
+            self._of("fmi3SetBinary", "Rx_Data", self._size, self._value, 1)
         for _ in range(_ROUNDS):
-            if due if terminal.countdown else self._triggered():
-                self._call("fmi3GetBinary", self._references[terminal.tx_data], 1, self._size, self._value, 1)
+            if not self.fmu.countdown:
+                self._of("fmi3GetClock", "Tx_Clock", self._clock)
+                due = bool(self._clock[0])
+            if due:
+                self._of("fmi3GetBinary", "Tx_Data", self._size, self._value, 1)
                 size, data = self._size[0], self._value[0]
-                if size > terminal.most_sent or (size and not data):
+                if size > self.fmu.most_sent or (size and not data):
                     given = f"{size} bytes" if data else "no data"
-                    raise self._error(f"Tx_Data has {given}, its maxSize is {terminal.most_sent}")
+                    raise self._error(f"Tx_Data has {given}, its maxSize is {self.fmu.most_sent}")
                 parts.append(ct.string_at(data, size) if size else b"")
             again, due = self._update(), False
             if not again:
@@ -187,12 +186,9 @@ class Node:
                 return b"".join(parts)
         raise self._error(f"its discrete states do not settle at {self.reached_ns} ns")
 
-    def _triggered(self) -> bool:
-        self._call("fmi3GetClock", self._references[self.terminal.tx_clock], 1, self._clock)
-        return bool(self._clock[0])
-
-    def _set_clock(self, reference: int) -> None:
-        self._call("fmi3SetClock", self._references[reference], 1, self._on)
+    def _of(self, function: str, member: str, *arguments: Any) -> None:
+        """Call a function for one member of the terminal."""
+        self._call(function, self._references[member], 1, *arguments)
 
     def _update(self) -> bool:
         """End one event iteration and read the countdown; True if another iteration is needed."""
@@ -200,9 +196,8 @@ class Node:
         again, ended, *_ = self._flags
         if ended:
             raise self._error(f"the FMU ended the simulation at {self.reached_ns} ns")
-        if self.terminal.countdown:
-            reference = self._references[self.terminal.tx_clock]
-            self._call("fmi3GetIntervalDecimal", reference, 1, self._interval, self._qualifier)
+        if self.fmu.countdown:
+            self._of("fmi3GetIntervalDecimal", "Tx_Clock", self._interval, self._qualifier)
             if self._qualifier[0] == _CHANGED:
                 wait_s = self._interval[0]
                 if not 0.0 <= wait_s < 1e9:
@@ -210,15 +205,10 @@ class Node:
                 self.due_ns = self.reached_ns + round(wait_s * 1e9)
         return bool(again)
 
-    def _event_mode(self) -> None:
-        if not self._in_event_mode:
-            self._call("fmi3EnterEventMode")
-            self._in_event_mode = True
-
-    def _step_mode(self) -> None:
-        if self._in_event_mode:
-            self._call("fmi3EnterStepMode")
-            self._in_event_mode = False
+    def _enter(self, *, event_mode: bool) -> None:
+        if self._in_event_mode != event_mode:
+            self._call("fmi3EnterEventMode" if event_mode else "fmi3EnterStepMode")
+            self._in_event_mode = event_mode
 
     def _call(self, function: str, *arguments: Any) -> None:
         if self._slave is None:

@@ -64,7 +64,7 @@ class SharedBus:
                 rank = priority(frame.id, frame.flags)
                 self._waiting.append(_Waiting(rank, next(self._numbers), index, operation))
             if self._on_wire is None:
-                self._arbitrate()
+                self._start()
             if self.now_ns >= until_ns:
                 return
             ends = [] if self._on_wire is None else [self._on_wire[0]]
@@ -72,18 +72,18 @@ class SharedBus:
             if self._on_wire is not None and self._on_wire[0] <= self.now_ns:
                 self._finish(self._on_wire[1])
 
-    def _arbitrate(self) -> None:
-        status = [station.status for station in self.stations]
-        self._waiting = [each for each in self._waiting if status[each.station] != op.BUS_OFF]
-        if self._waiting:
-            self._start(min(self._waiting, key=lambda each: (status[each.station], each)))
-
     @property
     def _destroys(self) -> bool:
         """True if the frame on the wire, or the next one, is to be destroyed."""
         return self._error_every > 0 and (self.frames + self.destroyed + 1) % self._error_every == 0
 
-    def _start(self, first: _Waiting) -> None:
+    def _start(self) -> None:
+        """Put the frame that wins arbitration on the wire; drop those of nodes that are bus-off."""
+        status = [station.status for station in self.stations]
+        self._waiting = [each for each in self._waiting if status[each.station] != op.BUS_OFF]
+        if not self._waiting:
+            return
+        first = min(self._waiting, key=lambda each: (status[each.station], each))
         self._waiting.remove(first)
         frame, timing = op.to_frame(first.operation), self.stations.bit_rates(self._timing)
         duration = frame_time_ns(len(frame.data), frame.flags, timing)

@@ -58,7 +58,7 @@ class Station:
         """Count corrupt bytes from the node and answer them with a Format Error, unless they are one."""
         self.corrupt += 1
         if int.from_bytes(binary[:4], "little") != Code.FORMAT_ERROR:  # no answer to an answer
-            most = self.node.terminal.most_bytes - op.HEADER.size - 2
+            most = self.node.fmu.most_bytes - op.HEADER.size - 2
             self.inbox.append(Operation(Code.FORMAT_ERROR, (), binary[: max(0, min(most, op.MAX_DATA))]))
 
     def _packed(self) -> bytes:
@@ -66,7 +66,7 @@ class Station:
         packed, taken = b"", 0
         for operation in self.inbox:
             more = op.encode([operation])
-            if len(packed) + len(more) > self.node.terminal.most_bytes and taken:
+            if len(packed) + len(more) > self.node.fmu.most_bytes and taken:
                 break
             packed += more
             taken += 1
@@ -86,7 +86,7 @@ class Stations(list[Station]):
         """
         found: list[tuple[int, Operation]] = []
         for node in (station.node for station in self):
-            if now_ns % step_ns == 0 or node.fmu.step_ns or not node.terminal.countdown:
+            if now_ns % step_ns == 0 or node.fmu.step_ns or not node.fmu.countdown:
                 node.advance(now_ns)
         for _ in range(_ROUNDS):
             busy = False

@@ -9,29 +9,32 @@ from typing import Any
 
 from drivers.errors import PlantError
 from plant_fmu.fmu.archive import MAX_XML_BYTES, open_archive
-from plant_fmu.fmu.check import MAX_REFERENCE, described, library, major, shown
+from plant_fmu.fmu.check import described, library, major, reference, shown
 
 KIND, RULE = "org.fmi-ls-bus.network-terminal", "org.fmi-ls-bus.transceiver"
 MIME = "application/org.fmi-standard.fmi-ls-bus.can"
 _FILE = "terminalsAndIcons/terminalsAndIcons.xml"
 _MEMBERS = {
-    "Rx_Data": ("Binary", ("input",), (None,)),
-    "Rx_Clock": ("Clock", ("input",), ("triggered",)),
-    "Tx_Data": ("Binary", ("output",), (None,)),
-    "Tx_Clock": ("Clock", ("input", "output"), ("triggered", "countdown")),
+    "Rx_Data": ("Binary", (("input", None),)),
+    "Rx_Clock": ("Clock", (("input", "triggered"),)),
+    "Tx_Data": ("Binary", (("output", None),)),
+    "Tx_Clock": ("Clock", (("output", "triggered"), ("input", "countdown"))),
 }
-"""Member name -> (type, causalities, interval variabilities)."""
+"""Member name -> type, and its pairs of causality and interval variability."""
 
 
 @dataclass(frozen=True)
-class BusTerminal:
-    """Value references of one CAN network of an FMU."""
+class CanFmu:
+    """A CAN FMU with one of its networks as its description declares them, before its code is loaded."""
 
-    name: str
-    rx_data: int
-    rx_clock: int
-    tx_data: int
-    tx_clock: int
+    path: Path
+    description: Any
+    """ModelDescription of fmpy."""
+    library: str
+    step_ns: int
+    """Length, ns, of its communication steps; 0 if it takes any."""
+    references: dict[str, int]
+    """Member of the terminal -> value reference."""
     countdown: bool
     """True if the Tx clock is an input of kind countdown, False if it is a triggered output."""
     most_bytes: int
@@ -42,19 +45,6 @@ class BusTerminal:
     """Boolean parameter BusNotifications; None if the FMU has none that can be set."""
     structural: bool
     """True if BusNotifications is set in configuration mode."""
-
-
-@dataclass(frozen=True)
-class CanFmu:
-    """A CAN FMU as its description declares it, before any of its code is loaded."""
-
-    path: Path
-    description: Any
-    """ModelDescription of fmpy."""
-    library: str
-    terminal: BusTerminal
-    step_ns: int
-    """Length, ns, of its communication steps; 0 if it takes any."""
 
 
 def read_can_fmu(path: Path, terminal: str = "") -> CanFmu:
@@ -70,18 +60,19 @@ def read_can_fmu(path: Path, terminal: str = "") -> CanFmu:
     if major(description) < 3 or not interface.hasEventMode:
         raise PlantError(
             f"{path}: not a CAN FMU: it needs FMI 3.0 with hasEventMode; this is FMI "
-            f"{description.fmiVersion}{'' if major(description) < 3 else ' without hasEventMode'}"
+            f"{description.fmiVersion}, hasEventMode {str(bool(interface.hasEventMode)).lower()}"
         )
     if interface.needsExecutionTool:
         raise PlantError(f"{path}: the FMU needs its tool at run time; export a stand-alone FMU")
     with open_archive(path) as archive:
         root, declared = (_parsed(path, archive, names, file) for file in (_FILE, "modelDescription.xml"))
     variables = {each.get("name", ""): each for each in declared.iterfind("ModelVariables/*")}
-    can = {
-        each.get("name", ""): each
-        for each in root.iter("Terminal")
-        if each.get("terminalKind") == KIND and each.get("matchingRule") == RULE and _is_can(each, variables)
-    }
+    can: dict[str, ET.Element] = {}
+    for each in root.iter("Terminal"):
+        sent = variables.get(_members(each).get("Tx_Data", ""))
+        mime = "" if sent is None else sent.get("mimeType", "").split(";")[0].strip()
+        if (each.get("terminalKind"), each.get("matchingRule"), mime) == (KIND, RULE, MIME):
+            can[each.get("name", "")] = each
     chosen = [name for name in can if terminal in {"", name}]
     if len(chosen) != 1:
         offered = shown(", ".join(can)) or "none"
@@ -91,12 +82,25 @@ def read_can_fmu(path: Path, terminal: str = "") -> CanFmu:
     if not 1e-9 <= fixed < math.inf:
         raise PlantError(f"{path}: its step is {fixed:g} s; at least 1 ns is needed")
     variable = interface.canHandleVariableCommunicationStepSize
+    node = can[chosen[0]]
+    found = _checked(path, node, variables)
+    inner = [_members(each).get("BusNotifications", "") for each in node.iterfind("Terminal")]
+    switch = next((variables[each] for each in inner if each in variables), None)
+    causality = "" if switch is None else switch.get("causality", "local")
+    settable = switch is not None and causality in {"parameter", "structuralParameter"}
+    sizes = (found[each].get("maxSize", "") for each in ("Rx_Data", "Tx_Data"))
+    most_bytes, most_sent = (int(each) if each.isdigit() and int(each) else 1 << 20 for each in sizes)
     return CanFmu(
-        path=path,
-        description=description,
-        library=library(description, names, path),
-        terminal=_terminal(path, can[chosen[0]], variables),
+        path,
+        description,
+        library(description, names, path),
         step_ns=0 if variable else round(fixed * 1e9),
+        references={member: _reference(path, each) for member, each in found.items()},
+        countdown=found["Tx_Clock"].get("intervalVariability") == "countdown",
+        most_bytes=most_bytes,
+        most_sent=most_sent,
+        notifications=_reference(path, switch) if switch is not None and settable else None,
+        structural=causality == "structuralParameter",
     )
 
 
@@ -114,54 +118,20 @@ def _members(node: ET.Element) -> dict[str, str]:
     return {each.get("memberName", ""): each.get("variableName", "") for each in found}
 
 
-def _is_can(node: ET.Element, variables: dict[str, ET.Element]) -> bool:
-    data = variables.get(_members(node).get("Tx_Data", ""))
-    return data is not None and data.get("mimeType", "").split(";")[0].strip() == MIME
-
-
-def _terminal(path: Path, node: ET.Element, variables: dict[str, ET.Element]) -> BusTerminal:
-    name, members = node.get("name", ""), _members(node)
+def _checked(path: Path, node: ET.Element, variables: dict[str, ET.Element]) -> dict[str, ET.Element]:
+    """Variables of a terminal by member. Raises PlantError for a missing or unfit one."""
     found: dict[str, ET.Element] = {}
-    for member, (kind, causalities, intervals) in _MEMBERS.items():
-        variable = variables.get(members.get(member, ""))
-        fits = (
-            variable is not None and variable.tag == kind and variable.get("intervalVariability") in intervals
-        )
-        if variable is None or not fits or variable.get("causality", "local") not in causalities:
+    for member, (kind, ways) in _MEMBERS.items():
+        variable = variables.get(_members(node).get(member, ""))
+        way = None if variable is None else (variable.get("causality"), variable.get("intervalVariability"))
+        if variable is None or variable.tag != kind or way not in ways:
             raise PlantError(
-                f"{path}: terminal {shown(name)}: {member} is missing or not of type {kind}, causality "
-                f"{' or '.join(causalities)}, intervalVariability {' or '.join(map(str, intervals))}"
+                f"{path}: terminal {shown(node.get('name', ''))}: {member} is missing or not of type {kind}, "
+                f"(causality, intervalVariability) {' or '.join(map(str, ways))}"
             )
         found[member] = variable
-    clock = found["Tx_Clock"]
-    countdown = clock.get("intervalVariability") == "countdown"
-    if (clock.get("causality") == "input") != countdown:
-        raise PlantError(
-            f"{path}: terminal {shown(name)}: Tx_Clock is a countdown input or a triggered output"
-        )
-    inner = [_members(each).get("BusNotifications", "") for each in node.iterfind("Terminal")]
-    switch = next((variables[each] for each in inner if each in variables), None)
-    causality = "" if switch is None else switch.get("causality", "local")
-    settable = switch is not None and causality in {"parameter", "structuralParameter"}
-    rx_data, rx_clock, tx_data, tx_clock = (_reference(path, found[each]) for each in _MEMBERS)
-    sizes = (found[each].get("maxSize", "") for each in ("Rx_Data", "Tx_Data"))
-    most_bytes, most_sent = (int(each) if each.isdigit() and int(each) else 1 << 20 for each in sizes)
-    return BusTerminal(
-        name=name,
-        rx_data=rx_data,
-        rx_clock=rx_clock,
-        tx_data=tx_data,
-        tx_clock=tx_clock,
-        countdown=countdown,
-        most_bytes=most_bytes,
-        most_sent=most_sent,
-        notifications=_reference(path, switch) if switch is not None and settable else None,
-        structural=causality == "structuralParameter",
-    )
+    return found
 
 
 def _reference(path: Path, variable: ET.Element) -> int:
-    stated = variable.get("valueReference", "")
-    if stated.isascii() and stated.isdigit() and int(stated) <= MAX_REFERENCE:
-        return int(stated)
-    raise PlantError(f"{path}: variable {variable.get('name')!r} has the valueReference {stated!r}")
+    return reference(str(path), variable.get("name", ""), variable.get("valueReference", ""))

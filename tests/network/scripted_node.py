@@ -12,9 +12,8 @@ class ScriptedNode(Node):
     def __init__(self, sends=(), most_bytes=2048):
         """sends: pairs (time ns, hexadecimal bytes), in order."""
         self.name = "scripted"
-        fmu: Any = SimpleNamespace(step_ns=0)
-        terminal: Any = SimpleNamespace(countdown=True, most_bytes=most_bytes)
-        self.fmu, self.terminal = fmu, terminal
+        fmu: Any = SimpleNamespace(step_ns=0, countdown=True, most_bytes=most_bytes)
+        self.fmu = fmu
         self.reached_ns = 0
         self._left = [(t_ns, bytes.fromhex(text)) for t_ns, text in sends]
         self.heard = []

@@ -306,7 +306,7 @@ def test_can_fmu_with_two_equal_node_numbers_ends_its_initialisation_with_the_le
 def test_command_builds_the_can_fmu_of_a_configuration_and_refuses_another_protocol(tmp_path):
     done = CliRunner().invoke(fmu_build_command, ["--output", str(tmp_path), "--ls-bus"])
     assert done.exit_code == 0, done.output
-    assert read_can_fmu(tmp_path / "virtual-can.fmu").terminal.countdown
+    assert read_can_fmu(tmp_path / "virtual-can.fmu").countdown
     done = CliRunner().invoke(fmu_build_command, ["--ls-bus", "virtual", "--fmi", "2.0"])
     assert "FMI 3.0" in done.output
     done = CliRunner().invoke(fmu_build_command, ["--ls-bus", "virtual-cia402"])

@@ -10,7 +10,7 @@ from drivers.compiled.pointed import data_at, pointed, reals_at
 from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.config import BenchPlant
-from plant_fmu.plant import Moved, PointedPlant
+from plant_fmu.plant import MEASURED, Moved, PointedPlant
 
 BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake, N."""
@@ -73,7 +73,7 @@ def _all_finite(values: Array) -> bool:
 @pointed(record(BENCH), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
     """Function `move` of `Moved`: returns 0, or NOT_FINITE or DIVERGED with the state unchanged."""
-    f, brakes, into = reals_at(force, LEGS), reals_at(brake, LEGS), reals_at(measured, 2 * LEGS)
+    f, brakes, into = reals_at(force, LEGS), reals_at(brake, LEGS), reals_at(measured, MEASURED)
     if not (_all_finite(f) and _all_finite(brakes) and _all_finite(reals_at(wrench, LEGS))):
         return NOT_FINITE
     x, v = np.empty(LEGS), np.empty(LEGS)
@@ -92,12 +92,7 @@ def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int
             high = min(high, b.hand_from[i] + HAND_M)
         b.v[i] = 0.0 if x[i] < low or x[i] > high else v[i]
         b.x[i] = min(max(x[i], low), high)
-        into[i], into[LEGS + i] = b.x[i] + b.rest[i], b.v[i]
-    return 0
-
-
-@pointed(record(BENCH), INTEGER)
-def _applied(_b: Any, _force: int) -> int:
+        into[i], into[LEGS + i], into[2 * LEGS + i] = b.x[i] + b.rest[i], b.v[i], np.nan
     return 0
 
 
@@ -135,8 +130,8 @@ class UncoupledLegs(PointedPlant):
         )
 
     def moved(self) -> Moved:
-        """Addresses of the compiled functions of this plant and of its state, for compiled callers."""
-        return Moved(_move.address, _applied.address, data_at(self.legs), self._refused, self)
+        """Addresses of the compiled function of this plant and of its state, for compiled callers."""
+        return Moved(_move.address, data_at(self.legs), self._refused, self)
 
 
 class Bench(UncoupledLegs):

@@ -11,6 +11,8 @@ from drivers.errors import PlantError
 
 _MOVE = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 6)
 """Type of `Moved.move`."""
+MEASURED = 18
+"""Number of values that it fills in."""
 
 
 class Truth(NamedTuple):
@@ -57,16 +59,15 @@ def whole_steps(dt_s: float, step_s: float) -> int:
 
 
 class Moved(NamedTuple):
-    """A plant as compiled code calls it: addresses of two functions, and their first argument `context`.
+    """A plant as compiled code calls it: address of a function, and its first argument `context`.
 
     A compiled plant returns it from `moved()`.
     """
 
     move: int
     """(context, force, brake, wrench, steps, measured) -> 0 or a reason for refusal. All arguments but steps
-    are addresses. Holds the inputs (6,) for some internal steps and fills in lengths and rates (12,)."""
-    applied: int
-    """(context, force) -> 1, or 0 if the applied force is unknown: fills in (6,) N."""
+    are addresses. Holds the inputs (6,) for some internal steps and fills in (18,): lengths, rates and
+    applied forces N, or NaN if they are unknown."""
     context: int
     refused: Callable[[int, Array, Array, Array, int], BaseException]
     """Error for a status of `move`; arguments: status, force, brake, wrench, steps."""
@@ -122,15 +123,16 @@ class PointedPlant(Plant):
     """A plant that compiled code calls by address. Mutable state: its physics, in the memory of `moved()`."""
 
     def moved(self) -> Moved:
-        """Addresses of the compiled functions of this plant and of its state, for compiled callers."""
+        """Addresses of the compiled function of this plant and of its state, for compiled callers."""
         raise NotImplementedError
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """Step as `Plant.step`, by calling the compiled functions of `moved()`."""
-        n, moved, values = whole_steps(dt_s, self.internal_step_s), self.moved(), np.empty(30)
-        values[12:18], values[18:24], values[24:] = force, brake, wrench
-        at = values.ctypes.data
-        status = _MOVE(moved.move)(moved.context, at + 8 * 12, at + 8 * 18, at + 8 * 24, n, at)
+        """Step as `Plant.step`, by calling the compiled function of `moved()`."""
+        n, moved, measured = whole_steps(dt_s, self.internal_step_s), self.moved(), np.empty(MEASURED)
+        inputs = np.array((force, brake, wrench))
+        status = _MOVE(moved.move)(
+            moved.context, *(each.ctypes.data for each in inputs), n, measured.ctypes.data
+        )
         if status:
-            raise moved.refused(status, values[12:18], values[18:24], values[24:], n)
-        return values[:6], values[6:12]
+            raise moved.refused(status, *inputs, n)
+        return measured[:6], measured[6:12]

@@ -69,8 +69,8 @@ def _move(n: Any, steps: int) -> int:
     n.refusal = call(n.move, (n.plant, force, brake, wrench, steps, measured.ctypes.data))
     if n.refusal != 0:
         return r.PLANT
-    n.length[:] = measured[:LEGS]
-    n.rate[:] = measured[LEGS:]
+    n.length[:] = measured[0]
+    n.rate[:] = measured[1]
     if n.not_finite:
         n.length[:] = np.nan
     n.k += steps
@@ -182,9 +182,7 @@ def _put(n: Any, count: int, leg: int) -> None:
 
 
 @helper
-def _report(n: Any) -> int:
-    if n.sent + r.ROOM > n.room:
-        return r.FULL
+def _report(n: Any) -> None:
     leg = n.reports[n.reported]
     number, into, count = n.number[leg], n.out + n.sent * _FRAME, 0
     if number != r.MUTE:
@@ -197,23 +195,18 @@ def _report(n: Any) -> int:
         count = 1
     _put(n, count, leg)
     n.reported += 1
-    return r.DONE
 
 
 @helper
-def _read(n: Any) -> int:
+def _read(n: Any) -> None:
     """Read forces and encoders, extrapolated from the plant's time step to the present instant."""
     reading = codec.reading_at(n.reading)
-    known = call(n.applied, (n.plant, reading.force.ctypes.data))
-    if known < 0:
-        n.refusal = known
-        return r.PLANT
-    if known == 0:
+    reading.force[:] = n.measured[2]
+    if np.isnan(reading.force[0]):
         _at_leg(n, reading.force)
     dt_s = (n.t_ns - _grid_ns(n)) * 1e-9
     encoders(n, dt_s, reading.length, reading.rate, reading.state)
     reading.fault[:] = n.fault
-    return r.DONE
 
 
 @helper
@@ -265,17 +258,11 @@ def _latch(n: Any) -> int:
         if n.look & r.LOOKS_BEFORE:
             return r.BEFORE_READING
     if n.latching == 2:
-        status = _read(n)
-        if status != r.DONE:
-            return status
+        _read(n)
         n.latching = 3
         if n.look & r.LOOKS_AFTER:
             return r.AFTER_READING
-    if n.latching == 3:
-        codec.reading_at(n.reading).length[:] -= n.uncounted
-        n.latching = 4
-    if n.sent + r.ROOM > n.room:
-        return r.FULL
+    codec.reading_at(n.reading).length[:] -= n.uncounted
     count = _answers(n)
     if count < 0:
         return r.ANSWER
@@ -313,8 +300,6 @@ def _reaches(n: Any, message: Any) -> bool:
 
 @helper
 def _hear(n: Any) -> int:
-    if n.sent + r.ROOM > n.room:
-        return r.FULL
     at = n.messages + n.message * _MESSAGE
     message = codec.message_at(at)
     kind = message.kind
@@ -363,8 +348,11 @@ def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
         if not in_order(received):
             return r.UNSORTED
     while n.frame <= count:
-        if n.reported < n.pending:
-            status = _report(n)
+        status = r.DONE
+        if n.sent + r.ROOM > n.room:
+            status = r.FULL
+        elif n.reported < n.pending:
+            _report(n)
         elif n.latching:
             status = _latch(n)
         elif n.message < n.heard:

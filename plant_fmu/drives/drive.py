@@ -2,7 +2,6 @@
 
 import ctypes
 from collections import deque
-from collections.abc import Callable
 from functools import cache
 from math import exp, inf, nan, pi
 from typing import Any, NamedTuple, cast
@@ -23,7 +22,7 @@ from plant_fmu.drives.compiled_pass import due_ns
 from plant_fmu.drives.drive_rules import BOOT, BRAKE, NEVER_NS, WORKS, encoder, enter
 from plant_fmu.drives.record import NODES, ROOM
 from plant_fmu.faults.fault import Present
-from plant_fmu.plant import Moved, Plant, Truth
+from plant_fmu.plant import MEASURED, Moved, Plant, Truth
 
 _NO_COUNTER = -1
 
@@ -78,7 +77,7 @@ class Drives:
         """Frames to send: the first `sent` elements."""
         self._asked, self._senders = np.zeros((), MESSAGE), np.zeros(ROOM, np.int64)
         self.reading = np.zeros((), READING)
-        n["move"], n["applied"], n["plant"] = plant.move, plant.applied, plant.context
+        n["move"], n["plant"] = plant.move, plant.context
         n["parse"], n["answer"] = end.parse.address, end.answer.address
         n["report"], n["end"] = end.report.address, data_at(end.record)
         n["messages"], n["asked"] = data_at(end.messages), data_at(self._asked)
@@ -150,16 +149,11 @@ def forgotten_m(settings: HomingSettings, transmission: Transmission, length: Ar
 class Reading:
     """Adds delay and noise to the readings of six encoders, before the feedback.
 
-    Mutable state: the readings since the first encoder delay began, as long as they are needed.
+    Mutable state: the readings since the first encoder delay began.
     """
 
     def __init__(self) -> None:
         self._read: deque[tuple[int, Array, Array]] = deque()
-
-    def begin(self, present: Present) -> None:
-        """Continue with other faults; once no encoder is delayed, the stored readings are deleted."""
-        if not any(present.late_ns):
-            self._read.clear()
 
     def spoil(self, present: Present, t_ns: int, length: Array, rate: Array) -> None:
         """Add delay and noise to lengths (6,) m and rates (6,) m/s that were read at `t_ns`. Changes both."""
@@ -217,9 +211,9 @@ class Snapshot(NamedTuple):
 
 
 def moved(plant: Plant) -> Moved:
-    """Addresses of a plant's functions: compiled ones, or wrappers of its Python methods."""
+    """Address of a plant's function: a compiled one, or a wrapper of its Python methods."""
     compiled = getattr(plant, "moved", None)
-    return _python_functions(plant) if compiled is None else compiled()
+    return _python_function(plant) if compiled is None else compiled()
 
 
 @cache
@@ -228,33 +222,20 @@ def _reals(address: int, count: int) -> Array:
     return np.frombuffer(memory, np.float64)
 
 
-def _python_functions(plant: Plant) -> Moved:
+def _python_function(plant: Plant) -> Moved:
     errors: list[BaseException] = []
-    step_s = plant.internal_step_s
-
-    def guarded(function: Callable[..., int]) -> Callable[..., int]:
-        def call(*given: int) -> int:
-            try:
-                return function(*given)
-            except BaseException as error:  # noqa: BLE001 - it is raised again behind the pass
-                errors.append(error)
-                return FAILED
-
-        return call
 
     def move(_context: int, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-        given = [_reals(at, LEGS).copy() for at in (force, brake, wrench)]
-        length, rate = plant.step(given[0], given[1], given[2], steps * step_s)
-        into = _reals(measured, 2 * LEGS)
-        into[:LEGS], into[LEGS:] = length, rate
+        try:
+            given = [_reals(at, LEGS).copy() for at in (force, brake, wrench)]
+            found = plant.step(given[0], given[1], given[2], steps * plant.internal_step_s)
+            applied = plant.applied_force()
+            into = _reals(measured, MEASURED).reshape(3, LEGS)
+            into[0], into[1], into[2] = *found, nan if applied is None else applied
+        except BaseException as error:  # noqa: BLE001 - it is raised again behind the pass
+            errors.append(error)
+            return FAILED
         return 0
 
-    def applied(_context: int, force: int) -> int:
-        known = plant.applied_force()
-        if known is not None:
-            _reals(force, LEGS)[:] = known
-        return int(known is not None)
-
-    moves, keeps_move = of_python(guarded(move), *[INTEGER] * 6)
-    applies, keeps_applied = of_python(guarded(applied), *[INTEGER] * 2)
-    return Moved(moves, applies, 0, lambda *_: errors.pop(), (keeps_move, keeps_applied))
+    address, keeps = of_python(move, *[INTEGER] * 6)
+    return Moved(address, 0, lambda *_: errors.pop(), keeps)

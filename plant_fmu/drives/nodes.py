@@ -90,6 +90,8 @@ class Nodes:
         self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
         self._record = n = self._drives.record
         n["length"], n["rate"] = length, rate
+        applied = self._plant.applied_force()
+        n["measured"][2] = np.nan if applied is None else applied
         n["t0_ns"] = n["now_ns"] = n["calm_ns"] = t0_ns
         self.schedule = Schedule(self._faults, t0_ns)
         self.waiting = self.schedule.waiting
@@ -260,7 +262,8 @@ class Nodes:
         after = record.LOOKS_AFTER * bool(present.noise or any(present.late_ns))
         n["look"] = before | after | record.FORGES * any(by_m is not None for by_m in present.forged_m)
         self._drives.disturb(present, t)
-        self._spoiled.begin(present)
+        if not any(present.late_ns):  # the stored readings are not needed any more
+            self._spoiled = Reading()
         self._switch_on(present.reset)
         self._end.restart([k for k in n["number"][np.array(present.reset)].tolist() if k != record.MUTE])
         self._set_wrench()

@@ -63,8 +63,7 @@ NODES = np.dtype(
         ("lag_end", "<f8"),  # end value of the force lag over one step of the plant
         ("lag_mean", "<f8"),  # its mean
         # Addresses, and the buffer for frames to send.
-        ("move", "<i8"),  # functions and context of the plant, see `Moved`
-        ("applied", "<i8"),
+        ("move", "<i8"),  # function and context of the plant, see `Moved`
         ("plant", "<i8"),
         ("parse", "<i8"),  # functions and context of the drives' end, see `DrivesEnd`
         ("answer", "<i8"),
@@ -119,7 +118,7 @@ NODES = np.dtype(
         ("beat_share", "<f8"),  # ns between the heartbeats of two successive drives
         ("reading_share", "<f8"),  # the same for readings
         # Answer of the plant, and transmission between it and the drives.
-        ("measured", "<f8", (2 * LEGS,)),  # lengths m and rates m/s from the plant
+        ("measured", "<f8", (3, LEGS)),  # lengths m, rates m/s and applied forces N from the plant
         ("length", "<f8", (LEGS,)),  # m
         ("rate", "<f8", (LEGS,)),  # m/s
         ("wrench", "<f8", (LEGS,)),  # N, N m on the platform

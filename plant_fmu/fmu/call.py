@@ -10,14 +10,15 @@ import numpy as np
 from drivers.compiled.compiler import INTEGER, REAL, helper, record
 from drivers.compiled.pointed import call, integers_at, pointed, reals_at
 from drivers.signals import LEGS
+from plant_fmu.plant import MEASURED
 
 DONE, NOT_FINITE, INPUTS_REFUSED, STEP_REFUSED, OUTPUTS_REFUSED, INTERRUPTED, OUTPUT_NOT_FINITE = range(7)
 """Results of a communication step."""
 CLOSED = 7
 """There was no step: the FMU is not initialised."""
-MEASURED = 2 * LEGS
+LENGTHS_RATES = 2 * LEGS
 """Number of lengths and rates, which are the first outputs."""
-APPLIED = MEASURED + 18
+APPLIED = LENGTHS_RATES + 18
 """Index of the applied forces in the outputs, behind pose and twist, if they are known."""
 FMU = np.dtype(
     [
@@ -84,7 +85,7 @@ def _fetch(fmu: Any) -> int:
     fmu.status = _called(fmu, fmu.get, given, (fmu.output_count,))
     if not succeeded(fmu.status):
         return OUTPUTS_REFUSED
-    for y in reals_at(fmu.outputs, MEASURED):
+    for y in reals_at(fmu.outputs, LENGTHS_RATES):
         if not np.isfinite(y):
             return OUTPUT_NOT_FINITE
     return DONE
@@ -104,10 +105,10 @@ do_step = pointed(record(FMU), REAL, REAL)(_do_step)
 
 @pointed(record(FMU), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-    """Set the inputs if they changed, do `steps` internal steps, and fill in lengths and rates.
+    """Set the inputs if they changed, do `steps` internal steps, and fill in what `Moved.move` does.
 
-    force (N), brake, wrench (N, N m), each (6,), and `measured` (12,), m and m/s, are addresses. Returns DONE
-    or the failure. The communication time is a multiple of the internal step, not a sum of steps.
+    force (N), brake, wrench (N, N m), each (6,), and `measured` (18,) are addresses. Returns DONE or the
+    failure. The communication time is a multiple of the internal step, not a sum of steps.
     """
     if not fmu.ready:
         return CLOSED
@@ -136,17 +137,10 @@ def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: in
     ended = _fetch(fmu)
     fmu.ticks += steps
     if ended == DONE:
-        y = reals_at(measured, MEASURED)
-        y[:] = reals_at(fmu.outputs, MEASURED)
+        y, outputs = reals_at(measured, MEASURED), reals_at(fmu.outputs, fmu.output_count)
+        y[:LENGTHS_RATES], y[LENGTHS_RATES:] = outputs[:LENGTHS_RATES], np.nan
+        if fmu.known:
+            y[LENGTHS_RATES:] = outputs[APPLIED : APPLIED + LEGS]
         for leg in range(LEGS):
             y[leg] += fmu.offset[leg]
     return int(ended)
-
-
-@pointed(record(FMU), INTEGER)
-def applied(fmu: Any, force: int) -> int:
-    """Fill in the applied forces (6,) N at an address; returns 1, or 0 if they are unknown."""
-    if not fmu.known:
-        return 0
-    reals_at(force, LEGS)[:] = reals_at(fmu.outputs, fmu.output_count)[APPLIED : APPLIED + LEGS]
-    return 1

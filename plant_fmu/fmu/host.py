@@ -126,7 +126,7 @@ class FmuHost(PointedPlant):
         face = self._interface
         self._inputs = np.zeros(LEGS * len(face.inputs))
         places = {key: LEGS * n for n, key in enumerate(face.inputs)}
-        self._outputs = np.zeros(fmu_call.APPLIED + LEGS if self.spec.truth else fmu_call.MEASURED)
+        self._outputs = np.zeros(fmu_call.APPLIED + LEGS if self.spec.truth else fmu_call.LENGTHS_RATES)
         self._held = np.zeros(self._inputs.size, np.int64)
         record, self._references = self._record, []
         inputs = dict(face.inputs)
@@ -158,7 +158,7 @@ class FmuHost(PointedPlant):
             try:
                 self._fmu.reset()
                 self._initialise()
-                if np.array_equal(self._outputs[: fmu_call.MEASURED], self._first):
+                if np.array_equal(self._outputs[: fmu_call.LENGTHS_RATES], self._first):
                     return
                 self._cannot_reset = "it gives other lengths or rates after a reset than at its first start"
             except Exception as error:  # noqa: BLE001 - fmpy raises many types
@@ -167,7 +167,7 @@ class FmuHost(PointedPlant):
             self._free()
             self._load()
         self._initialise()
-        self._first = self._outputs[: fmu_call.MEASURED].copy()
+        self._first = self._outputs[: fmu_call.LENGTHS_RATES].copy()
 
     def _initialise(self) -> None:
         fmu, self._record["ready"] = self._fmu, False
@@ -212,14 +212,14 @@ class FmuHost(PointedPlant):
         """
         if self._record["stepped"] or not self._record["ready"]:
             self._begin()
-        y = self._outputs[: fmu_call.MEASURED].copy()
+        y = self._outputs[: fmu_call.LENGTHS_RATES].copy()
         return y[:LEGS] + self._record["offset"], y[LEGS:]
 
     def _failed(self, ended: int, step: str = "") -> PlantError:
         if ended == fmu_call.CLOSED:
             return PlantError(f"{self.spec.path}: the FMU is closed or failed to initialise; reset it")
         if ended == fmu_call.OUTPUT_NOT_FINITE:
-            y = self._outputs[: fmu_call.MEASURED]
+            y = self._outputs[: fmu_call.LENGTHS_RATES]
             return self._error(f"the FMU gave a value that is not finite: {y}")
         if ended == fmu_call.INTERRUPTED:
             did = "ended the simulation" if self._record["flags"][1] else "returned early"
@@ -236,9 +236,8 @@ class FmuHost(PointedPlant):
         return PlantError(f"{error}; {unfit}") if unfit else error
 
     def moved(self) -> Moved:
-        """Addresses of the compiled functions of this plant and of its state, for compiled callers."""
-        move, applied = fmu_call.move.address, fmu_call.applied.address
-        return Moved(move, applied, data_at(self._record), self._did_not_step, self)
+        """Addresses of the compiled function of this plant and of its state, for compiled callers."""
+        return Moved(fmu_call.move.address, data_at(self._record), self._did_not_step, self)
 
     def truth(self) -> Truth | None:
         """Pose, twist and applied forces now; None if the configuration maps no outputs for them."""
@@ -246,7 +245,7 @@ class FmuHost(PointedPlant):
             return None
         if not self._record["ready"]:
             raise self._failed(fmu_call.CLOSED)
-        return truth_of(self._outputs[fmu_call.MEASURED :].copy())
+        return truth_of(self._outputs[fmu_call.LENGTHS_RATES :].copy())
 
     def applied_force(self) -> Array | None:
         """Leg forces (6,) N after the drives' lag; None if the FMU's output for them is unknown."""

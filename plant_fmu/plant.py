@@ -99,13 +99,6 @@ class Plant(Protocol):
         """True pose, twist and applied forces now; None for a plant without a platform."""
         return None
 
-    def applied_force(self) -> Array | None:
-        """Leg forces (6,) N after the drives' force lag; None if the plant does not know them.
-
-        The array may be the plant's own memory: it is valid until the next step.
-        """
-        return None
-
     def rod_force(self) -> Array | None:
         """Forces (6,) N between drives and rods of the legs, as load cells measure; None: unknown."""
         return None

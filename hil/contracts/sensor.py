@@ -63,10 +63,7 @@ class Mover(Plant):
         a = 0.5 * self.t_s
         R = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(a), -np.sin(a)], [0.0, np.sin(a), np.cos(a)]])
         p = np.array([0.3 * self.t_s, 0.0, 1.0])
-        return Truth(p, R, np.array([0.3, 0.0, 0.0, 0.5, 0.0, 0.0]), self.applied_force())
-
-    def applied_force(self) -> Array:
-        return 10.0 * np.arange(1.0, 7.0)
+        return Truth(p, R, np.array([0.3, 0.0, 0.0, 0.5, 0.0, 0.0]), 10.0 * np.arange(1.0, 7.0))
 
     def close(self) -> None:
         pass

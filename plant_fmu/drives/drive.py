@@ -229,9 +229,9 @@ def _python_function(plant: Plant) -> Moved:
         try:
             given = [_reals(at, LEGS).copy() for at in (force, brake, wrench)]
             found = plant.step(given[0], given[1], given[2], steps * plant.internal_step_s)
-            applied = plant.applied_force()
+            truth = plant.truth()
             into = _reals(measured, MEASURED).reshape(3, LEGS)
-            into[0], into[1], into[2] = *found, nan if applied is None else applied
+            into[0], into[1], into[2] = *found, nan if truth is None else truth.applied_force
         except BaseException as error:  # noqa: BLE001 - it is raised again behind the pass
             errors.append(error)
             return FAILED

@@ -90,8 +90,8 @@ class Nodes:
         self._drives = Drives(at_motor(self._settings, transmission), self._emulation, self._h_s)
         self._record = n = self._drives.record
         n["length"], n["rate"] = length, rate
-        applied = self._plant.applied_force()
-        n["measured"][2] = np.nan if applied is None else applied
+        truth = self._plant.truth()
+        n["measured"][2] = np.nan if truth is None else truth.applied_force
         n["t0_ns"] = n["now_ns"] = n["calm_ns"] = t0_ns
         self.schedule = Schedule(self._faults, t0_ns)
         self.waiting = self.schedule.waiting

@@ -29,14 +29,8 @@ def open_archive(path: Path) -> zipfile.ZipFile:
 
     Raises PlantError if it is missing, not a ZIP archive, or unsafe to unpack.
     """
-    if path.exists() and not path.is_file():
-        raise PlantError(
-            f"{path}: not a file but a folder, pipe, socket or device; give the path of an .fmu file"
-        )
     if not path.is_file():
-        raise PlantError(
-            f"{path}: no such FMU file; give the path of an .fmu relative to the configuration file"
-        )
+        raise PlantError(f"{path}: no such file; give the path of an .fmu relative to the configuration file")
     try:
         archive = zipfile.ZipFile(path)
     except Exception as error:  # zipfile raises many types on a damaged directory

@@ -142,10 +142,6 @@ class ChildHost:
             raise PlantError(self._ended)
         return self._truth
 
-    def applied_force(self) -> Array | None:
-        """Leg forces (6,) N after the drives' lag; None if the FMU's output for them is unknown."""
-        return None if self._truth is None else self._truth.applied_force
-
     def rod_force(self) -> Array | None:
         """Forces (6,) N between drives and rods; None if the FMU's output for them is unknown."""
         return self._ask(("rod_force",), STEP_TIMEOUT_S, "report")  # type: ignore[no-any-return]

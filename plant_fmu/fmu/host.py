@@ -247,10 +247,6 @@ class FmuHost(PointedPlant):
             raise self._failed(fmu_call.CLOSED)
         return truth_of(self._outputs[fmu_call.LENGTHS_RATES :].copy())
 
-    def applied_force(self) -> Array | None:
-        """Leg forces (6,) N after the drives' lag; None if the FMU's output for them is unknown."""
-        return self._outputs[fmu_call.APPLIED :] if self.spec.truth else None
-
     def rod_force(self) -> Array | None:
         """Forces (6,) N between drives and rods, read when asked; None if the FMU's output is unknown."""
         references = list(self._interface.rod_force)

@@ -19,8 +19,7 @@ from drivers.family import Family
 from drivers.frame_array import NO_FRAMES, received_frames, timed_array
 from drivers.protocol import ERROR, Frame, Received, off_bus
 from drivers.signals import LEGS, DriveState
-from plant_fmu.config import DriveEmulation
-from plant_fmu.drive_fmus import DriveFmus
+from plant_fmu.config import DriveEmulation, DriveFmus
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.drive_rules import NEVER_NS
 from plant_fmu.drives.nodes import Nodes

@@ -18,7 +18,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.plant import Plant, Truth
+from plant_fmu.plant import Plant
 from tests.drivers.legs_frames import command_frames, decode, opening
 
 MS, US = 1_000_000, 1_000
@@ -46,15 +46,6 @@ class Masses(Plant):
         self.q = np.where(free, self.q + self.dq * dt_s + ddq * dt_s**2 / 2, self.q)
         self.dq = np.where(free, self.dq + ddq * dt_s, 0.0)
         return self.q, self.dq
-
-    def truth(self) -> Truth | None:
-        return None
-
-    def applied_force(self) -> Array | None:
-        return None
-
-    def close(self) -> None:
-        """Do nothing: there is nothing to free."""
 
 
 class Rig:

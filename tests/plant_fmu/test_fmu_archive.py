@@ -44,8 +44,8 @@ def test_damaged_fmu_archive_is_refused(tmp_path: Path, data: bytes) -> None:
 
 
 def test_fmu_path_that_is_missing_or_a_folder_is_refused(tmp_path: Path) -> None:
-    for path, word in ((tmp_path / "none.fmu", "no such FMU"), (tmp_path, "not a file but a folder")):
-        with pytest.raises(PlantError, match=word):
+    for path in (tmp_path / "none.fmu", tmp_path):
+        with pytest.raises(PlantError, match="no such file"):
             open_archive(path)
 
 

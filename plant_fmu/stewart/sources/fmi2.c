@@ -64,17 +64,10 @@ API FMI(fmi2DoStep)(Instance *instance, double time, double dt, int no_set_state
     return instance_step(instance, time, dt);
 }
 
-/* No step is ever pending, but status and last time are available after every step. */
-#define KNOWN(function, asked, T, known)                                                                         \
-    SHARED(function)(const Instance *instance, int kind, T *value)                                               \
-    {                                                                                                            \
-        if (!instance || kind != asked) return instance_unsupported(instance, TEXT(STANDARD(function)));         \
-        *value = known;                                                                                          \
-        return OK;                                                                                               \
-    }
-KNOWN(GetStatus, 0, int, OK)
-KNOWN(GetRealStatus, 2, double, instance->plant.v.time)
-KNOWN(GetBooleanStatus, 3, int, 0)
+/* No step is ever pending. */
+UNSUPPORTED(GetStatus)
+UNSUPPORTED(GetRealStatus)
+UNSUPPORTED(GetBooleanStatus)
 UNSUPPORTED(GetIntegerStatus)
 UNSUPPORTED(GetStringStatus)
 UNSUPPORTED(CancelStep)

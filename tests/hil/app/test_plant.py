@@ -80,9 +80,6 @@ class Legs(Plant):
         self._answer()
         return Truth(np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6))
 
-    def applied_force(self) -> None:
-        """No lag."""
-
     def close(self) -> None:
         """Nothing to free."""
 

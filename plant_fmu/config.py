@@ -183,7 +183,7 @@ class FmuPlant(PlantModel):
     the period of the control loop."""
 
     @model_validator(mode="after")
-    def _assumed_units_are_mapped(self) -> Self:
+    def _consistent(self) -> Self:
         keys = ("force", "length", "rate", "wrench")
         mapped = {name for key in keys for name in getattr(self, key)}
         strange = sorted(name for name in self.assume_unit if name not in mapped and name not in keys)
@@ -192,10 +192,6 @@ class FmuPlant(PlantModel):
                 f"assume_unit: not mapped: {', '.join(strange)}; allowed: {', '.join(keys)}, "
                 "or a variable that one of these keys maps"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _execution_tool_in_child_process(self) -> Self:
         if self.allow_execution_tool and self.isolation != "child_process":
             raise ValueError(
                 "allow_execution_tool needs isolation child_process: in this process, a tool that fails "
@@ -208,10 +204,9 @@ class FmuPlant(PlantModel):
     def _six_or_one_array(cls, names: list[str], info: ValidationInfo) -> list[str]:
         optional = info.field_name in {"brake", "wrench"}
         if len(names) not in (1, 6) and not (optional and not names):
-            empty = ", or an empty list" if optional else ""
             raise ValueError(
-                "wrong number of variables, allowed: six names in leg order, or one name of an array of six"
-                f"{empty}, given: {len(names)}"
+                "wrong number of variables, allowed: six names in leg order, or one name of an array of six; "
+                f"none for brake and wrench, given: {len(names)}"
             )
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

@@ -24,7 +24,6 @@ from plant_fmu.stewart.description import (
     MODEL_IDENTIFIER,
     FmiVersion,
     build_description,
-    document,
     model_description,
 )
 from plant_fmu.stewart.variables import VARIABLES, Variable, header, tables
@@ -33,6 +32,10 @@ SOURCES = Path(__file__).parent / "sources"
 ATTACHED = Path(__file__).parent / "attached"
 """Files that go into the FMU as they are: documentation, icon, reference results."""
 _OF_BOTH = ("icon.png", "documentation/licenses/license.txt")
+_OF_BUS = (
+    "terminalsAndIcons/terminalsAndIcons.xml",
+    "extra/org.fmi-standard.fmi-ls-bus/fmi-ls-manifest.xml",
+)
 _ICON = {"2.0": "model.png", "3.0": "terminalsAndIcons/icon.png"}
 _COMMON = ("mechanics.c", "contact.c", "plant.c", "plant.h", "face.h")
 _DRIVES = ("drives.c", "drives.h", "frames.h", "terminal.h")
@@ -139,7 +142,7 @@ def _digest(parts: dict[str, bytes]) -> str:
 def _attached_files(version: FmiVersion, model: Model) -> dict[str, bytes]:
     """Contents by place in the FMU; the CAN FMU has other variables than page and reference results."""
     paths = {path.relative_to(ATTACHED).as_posix(): path for path in ATTACHED.rglob("*") if path.is_file()}
-    names = [name for name in sorted(paths) if not model.bus or name in _OF_BOTH]
+    names = [name for name in sorted(paths) if name in _OF_BOTH or (name in _OF_BUS) == model.bus]
     return {(_ICON[version] if name == "icon.png" else name): paths[name].read_bytes() for name in names}
 
 
@@ -189,9 +192,6 @@ def _pack(
     units = sorted(name for name in sources if name.endswith(".c"))
     description = model_description(version, guid, units, model.rows, bus=model.bus)
     members = {"modelDescription.xml": description}
-    if model.bus:
-        members["terminalsAndIcons/terminalsAndIcons.xml"] = document(can.terminal())
-        members["extra/org.fmi-standard.fmi-ls-bus/fmi-ls-manifest.xml"] = document(can.manifest())
     if version == "3.0":
         members["sources/buildDescription.xml"] = build_description(units)
     members |= {f"sources/{name}": data for name, data in sorted(sources.items())}

@@ -24,9 +24,8 @@ DESCRIPTION = (
 BUS_BYTES = 4096
 """Largest size of Rx_Data and Tx_Data."""
 _MIME = 'application/org.fmi-standard.fmi-ls-bus.can; version="1.0.0"'
-_KIND = "org.fmi-ls-bus.network-terminal"
 _MEMBERS = ("Rx_Data", "Tx_Data", "Rx_Clock", "Tx_Clock")
-"""Members of the terminal, in the order of their value references."""
+"""Members of the terminal, see attached/terminalsAndIcons, in the order of their value references."""
 # fmt: off
 _ROWS: tuple[tuple[Any, ...], ...] = (
     ("layout", "Layout", (), (2.0,), "Layout of the frames, as bus.layout of the controller"),
@@ -81,25 +80,6 @@ def bus_variables(parent: ET.Element, first: int) -> str:
         else:
             ET.SubElement(parent, "Binary", {**about, **data, "causality": "output"})
     return refs["Tx_Data"]
-
-
-def terminal() -> ET.Element:
-    """Root of terminalsAndIcons.xml."""
-    root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
-    about = {"name": "CAN", "terminalKind": _KIND, "matchingRule": "org.fmi-ls-bus.transceiver"}
-    bus = ET.SubElement(ET.SubElement(root, "Terminals"), "Terminal", about)
-    for member in _MEMBERS:
-        names = {"variableName": f"CAN.{member}", "memberName": member, "variableKind": "signal"}
-        ET.SubElement(bus, "TerminalMemberVariable", names)
-    return root
-
-
-def manifest() -> ET.Element:
-    """Root of fmi-ls-manifest.xml, by which importers recognise the layered standard."""
-    space, name = "{http://fmi-standard.org/fmi-ls-manifest}", "org.fmi-standard.fmi-ls-bus"
-    about = {"fmi-ls-name": name, "fmi-ls-version": "1.0.0", "fmi-ls-description": "Six drives on a CAN bus"}
-    qualified = {space + key: value for key, value in about.items()}
-    return ET.Element("fmiLayeredStandardManifest", {**qualified, "isBusSimulationFMU": "false"})
 
 
 def _names(prefix: str, of: type[IntEnum]) -> str:

@@ -21,9 +21,9 @@ from hil.contracts.loopback import PERIOD_NS, SETUP, Ends
 from hil.contracts.messages import Sync
 from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
+from plant_fmu.drives.drive_rules import enter
 from tests.drivers import moteus_foreign as foreign
 from tests.drivers.motor_families import GEAR, MOTEUS_NODES, UNIT, Heard, MoteusProtocol, moteus, registers
-from tests.plant_fmu.by_hand import enter
 
 VECTORS = json.loads((Path(__file__).parents[1] / "data/drives/moteus.json").read_text("utf-8"))["vectors"]
 RANDOM = json.loads(foreign.FILE.read_text("utf-8"))
@@ -125,7 +125,7 @@ def test_enabled_drive_damps_after_its_command_times_out_until_a_stop():
 def test_drive_that_switched_off_in_motion_is_enabled_only_after_another_mode_and_a_new_run(leg):
     ends = Ends(moteus())
     ends.running()
-    enter(ends.nodes._drives, leg, DriveState.OFF, DriveFault.NONE)
+    enter(ends.nodes._drives.seen, leg, DriveState.OFF, DriveFault.NONE)
     for _ in range(2):
         ends.step(Command(DriveMode.RUN, np.zeros(6)))
         assert ends.measurement["drive_state"][leg] == DriveState.BOOT

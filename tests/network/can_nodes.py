@@ -95,7 +95,7 @@ def build(folder: Path, source: Path, name: str, settings: Mapping[str, int | st
     ]
     stubs = folder / "stubs.c"  # FMPy wants every function of the standard
     declared = re.findall(r"TYPE +(fmi3\w+);", (headers / "fmi3Functions.h").read_text())
-    own = source.read_text()
+    own = source.read_text() + source.with_name("can_node.h").read_text()
     names = [name for name in declared if f"{name}(" not in own]
     stubs.write_text("".join(f"int {name}(void) {{ return 3; }}\n" for name in names))
     command = [

@@ -2,15 +2,11 @@
  *
  * DRIVES: 6, or 1 with parameter `leg`. ANSWER_NS: time from SYNC to the feedback. Built by can_nodes.py.
  */
-#include <math.h>
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
 
-#include "fmi3Functions.h"
-
-enum { RX_DATA = 1, TX_DATA = 2, RX_CLOCK = 3, TX_CLOCK = 4, LENGTH = 10, RATE, FORCE, BRAKE, LEG = 20, CRASH };
+enum { LENGTH = 10, RATE, FORCE, BRAKE, LEG = 20, CRASH };
 enum { BOOT, OFF, READY, RUN, FAULT };
 enum { MODE_OFF, MODE_READY, MODE_RUN, MODE_RESET };
 enum { ESTOP_ID = 1, SYNC_ID = 128, COMMAND_ID = 272, FEEDBACK_ID = 641, CONFIG_ID = 1537, STATUS_ID = 1793 };
@@ -38,6 +34,8 @@ typedef struct {
     bool taken;
 } Node;
 
+#include "can_node.h"
+
 static uint8_t crc8(unsigned id, const uint8_t* data, int size) {
     uint8_t r = 0xFF;
     for (int k = -2; k < size; k++) {
@@ -58,11 +56,6 @@ static uint16_t crc16(unsigned id, const uint8_t* data, int size) {
 
 static void number(uint8_t* at, int64_t value, int bytes) {
     for (int k = 0; k < bytes; k++) at[k] = (uint8_t)(value >> 8 * k);
-}
-
-static void put(Node* n, const void* data, size_t size) {
-    memcpy(n->tx + n->tx_size, data, size);
-    n->tx_size += size;
 }
 
 static void transmit(Node* n, unsigned id, const uint8_t* data, int size, bool fd) {
@@ -176,7 +169,7 @@ static void live(Node* n, bool sends) {
     n->answer = NEVER;
 }
 
-static int64_t next(const Node* n) {
+static bool wait(const Node* n, double* seconds) {
     int64_t at = n->answer;
     for (int k = 0; k < DRIVES; k++) {
         const Drive* d = &n->drives[k];
@@ -186,7 +179,8 @@ static int64_t next(const Node* n) {
         at = at < d->beat ? at : d->beat;
         if (d->report) break;
     }
-    return at;
+    *seconds = n->tx_size || at <= n->now ? 0.0 : 1e-9 * (double)(at - n->now);
+    return true;
 }
 
 static void take(Node* n) {
@@ -198,16 +192,10 @@ static void take(Node* n) {
         if ((code == 0x10 || code == 0x11) && !o[12]) hear(n, id, o + head, (int)length - head);
         at += length;
     }
-    n->rx_size = 0;
+    live(n, false);
 }
 
-FMI3_Export const char* fmi3GetVersion(void) { return "3.0"; }
-
-FMI3_Export fmi3Instance fmi3InstantiateCoSimulation(
-    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging,
-    fmi3Boolean events, fmi3Boolean early, const fmi3ValueReference required[], size_t count,
-    fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update) {
-    Node* n = calloc(1, sizeof(Node));
+static void begin(Node* n) {
     uint8_t rates[26] = {0};
     number(rates, 0x40, 4), number(rates + 4, 13, 4), rates[8] = 1, number(rates + 9, 1000000, 4);
     number(rates + 13, 0x40, 4), number(rates + 17, 13, 4), rates[21] = 2, number(rates + 22, FD_RATE, 4);
@@ -217,100 +205,39 @@ FMI3_Export fmi3Instance fmi3InstantiateCoSimulation(
         Drive* d = &n->drives[k];
         d->shut = true, d->deadline = d->moves = NEVER, d->beat = llround(k * (HEARTBEAT_NS / 6.0));
     }
-    return n;
 }
 
-FMI3_Export void fmi3FreeInstance(fmi3Instance n) { free(n); }
-FMI3_Export fmi3Status fmi3EnterInitializationMode(
-    fmi3Instance n, fmi3Boolean a, fmi3Float64 b, fmi3Float64 c, fmi3Boolean d, fmi3Float64 e) {
-    return fmi3OK;
-}
-FMI3_Export fmi3Status fmi3ExitInitializationMode(fmi3Instance n) { return fmi3OK; }
-FMI3_Export fmi3Status fmi3EnterEventMode(fmi3Instance n) { return fmi3OK; }
-FMI3_Export fmi3Status fmi3EnterStepMode(fmi3Instance n) { return fmi3OK; }
-FMI3_Export fmi3Status fmi3Terminate(fmi3Instance n) { return fmi3OK; }
+static void tick(Node* n) { live(n, true); }
+static void stepped(Node* n, double from, double* reached, bool* event, bool* early) {}
 
-FMI3_Export fmi3Status fmi3SetClock(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, const fmi3Clock values[]) {
-    if (r[0] == TX_CLOCK) live(i, true);
-    return fmi3OK;
-}
-
-FMI3_Export fmi3Status fmi3SetInt32(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, const fmi3Int32 values[], size_t number) {
+FMI3_Export Status fmi3SetInt32(
+    fmi3Instance i, Refs r, size_t count, const fmi3Int32 values[], size_t number) {
     Node* n = i;
     if (r[0] == LEG) n->leg = values[0];
     if (r[0] == CRASH) n->crash = 1000000LL * values[0];
     return r[0] == LEG || r[0] == CRASH ? fmi3OK : fmi3Error;
 }
 
-FMI3_Export fmi3Status fmi3SetFloat64(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, const fmi3Float64 values[], size_t number) {
+FMI3_Export Status fmi3SetFloat64(
+    fmi3Instance i, Refs r, size_t count, const fmi3Float64 values[], size_t number) {
     Node* n = i;
     if (count != 1 || number != DRIVES || (r[0] != LENGTH && r[0] != RATE)) return fmi3Error;
     memcpy(r[0] == LENGTH ? n->lengths : n->rates, values, sizeof n->rates);
     return fmi3OK;
 }
 
-FMI3_Export fmi3Status fmi3GetFloat64(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, fmi3Float64 values[], size_t number) {
+FMI3_Export Status fmi3GetFloat64(
+    fmi3Instance i, Refs r, size_t count, fmi3Float64 values[], size_t number) {
     Node* n = i;
     if (count != 1 || number != DRIVES || r[0] != FORCE) return fmi3Error;
     for (int k = 0; k < DRIVES; k++) values[k] = n->drives[k].force;
     return fmi3OK;
 }
 
-FMI3_Export fmi3Status fmi3GetBoolean(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, fmi3Boolean values[], size_t number) {
+FMI3_Export Status fmi3GetBoolean(
+    fmi3Instance i, Refs r, size_t count, fmi3Boolean values[], size_t number) {
     Node* n = i;
     if (count != 1 || number != DRIVES || r[0] != BRAKE) return fmi3Error;
     for (int k = 0; k < DRIVES; k++) values[k] = n->drives[k].shut;
-    return fmi3OK;
-}
-
-FMI3_Export fmi3Status fmi3SetBinary(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, const size_t sizes[],
-    const fmi3Binary values[], size_t number) {
-    Node* n = i;
-    if (r[0] != RX_DATA || sizes[0] > sizeof n->rx) return fmi3Error;
-    memcpy(n->rx, values[0], n->rx_size = sizes[0]);
-    return fmi3OK;
-}
-
-FMI3_Export fmi3Status fmi3GetBinary(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, size_t sizes[], fmi3Binary values[],
-    size_t number) {
-    Node* n = i;
-    values[0] = n->tx, sizes[0] = n->tx_size, n->taken = true;
-    return r[0] == TX_DATA ? fmi3OK : fmi3Error;
-}
-
-FMI3_Export fmi3Status fmi3UpdateDiscreteStates(
-    fmi3Instance i, fmi3Boolean* more, fmi3Boolean* end, fmi3Boolean* nominals, fmi3Boolean* values,
-    fmi3Boolean* defined, fmi3Float64* next_time) {
-    Node* n = i;
-    *more = *end = *nominals = *values = *defined = false;
-    if (n->taken) n->tx_size = 0, n->taken = false;
-    take(n);
-    live(n, false);
-    return fmi3OK;
-}
-
-FMI3_Export fmi3Status fmi3GetIntervalDecimal(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, fmi3Float64 intervals[],
-    fmi3IntervalQualifier qualifiers[]) {
-    Node* n = i;
-    int64_t at = next(n);
-    intervals[0] = n->tx_size ? 0.0 : at <= n->now ? 0.0 : 1e-9 * (double)(at - n->now);
-    qualifiers[0] = fmi3IntervalChanged;
-    return fmi3OK;
-}
-
-FMI3_Export fmi3Status fmi3DoStep(
-    fmi3Instance i, fmi3Float64 at, fmi3Float64 step, fmi3Boolean no_set, fmi3Boolean* event,
-    fmi3Boolean* end, fmi3Boolean* early, fmi3Float64* last) {
-    Node* n = i;
-    n->now = llround(1e9 * (at + step));
-    *end = *early = *event = false, *last = at + step;
     return fmi3OK;
 }

@@ -1,13 +1,7 @@
 /* A small CAN FMU for tests: sends a frame of counters each period; built by tests/network/can_nodes.py. */
-#include <math.h>
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
-
-#include "fmi3Functions.h"
-
-enum { RX_DATA = 1, TX_DATA = 2, RX_CLOCK = 3, TX_CLOCK = 4 };
 
 typedef struct {
     int64_t now, next;
@@ -17,10 +11,7 @@ typedef struct {
     uint8_t count, received, confirmed, lost, errors, refused;
 } Node;
 
-static void put(Node* n, const void* data, size_t size) {
-    memcpy(n->tx + n->tx_size, data, size);
-    n->tx_size += size;
-}
+#include "can_node.h"
 
 static void put_number(Node* n, uint32_t value, int bytes) {
     for (int k = 0; k < bytes; k++, value >>= 8) {
@@ -52,6 +43,11 @@ static void transmit_due(Node* n) {
     for (; n->next <= n->now; n->next += PERIOD_NS) transmit(n);
 }
 
+static void tick(Node* n) {
+    if (n->again) n->again = false, transmit(n);
+    transmit_due(n);
+}
+
 static void take(Node* n) {
     for (size_t at = 0; at + 8 <= n->rx_size;) {
         uint32_t code, length;
@@ -61,115 +57,39 @@ static void take(Node* n) {
         if (code == 0x30) n->lost++, n->again = true;
         at += length;
     }
-    n->rx_size = 0;
 }
 
-FMI3_Export const char* fmi3GetVersion(void) { return "3.0"; }
+static void begin(Node* n) { n->next = OFFSET_NS, configure(n), n->tx_active = true; }
 
-FMI3_Export fmi3Instance fmi3InstantiateCoSimulation(
-    fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible, fmi3Boolean logging,
-    fmi3Boolean events, fmi3Boolean early, const fmi3ValueReference required[], size_t count,
-    fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update) {
-    Node* n = events ? calloc(1, sizeof(Node)) : NULL;
-    if (n) n->next = OFFSET_NS, configure(n), n->tx_active = true;
-    return n;
-}
-
-FMI3_Export void fmi3FreeInstance(fmi3Instance n) { free(n); }
-FMI3_Export fmi3Status fmi3EnterInitializationMode(
-    fmi3Instance n, fmi3Boolean a, fmi3Float64 b, fmi3Float64 c, fmi3Boolean d, fmi3Float64 e) {
-    return fmi3OK;
-}
-FMI3_Export fmi3Status fmi3ExitInitializationMode(fmi3Instance n) { return fmi3OK; }
-FMI3_Export fmi3Status fmi3EnterEventMode(fmi3Instance n) { return fmi3OK; }
-FMI3_Export fmi3Status fmi3EnterStepMode(fmi3Instance n) { return fmi3OK; }
-FMI3_Export fmi3Status fmi3Terminate(fmi3Instance n) { return fmi3OK; }
-
-FMI3_Export fmi3Status fmi3SetClock(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, const fmi3Clock values[]) {
-    Node* n = i;
-    if (r[0] == TX_CLOCK) {
-        if (n->again) n->again = false, transmit(n);
-        transmit_due(n);
-    }
-    return fmi3OK;
-}
-
-FMI3_Export fmi3Status fmi3GetClock(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, fmi3Clock values[]) {
+FMI3_Export Status fmi3GetClock(fmi3Instance i, Refs r, size_t count, fmi3Clock values[]) {
     Node* n = i;
     values[0] = n->tx_active;
     n->tx_active = false; /* reading a clock clears it */
     return fmi3OK;
 }
 
-FMI3_Export fmi3Status fmi3SetBinary(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, const size_t sizes[],
-    const fmi3Binary values[], size_t number) {
-    Node* n = i;
-    if (r[0] != RX_DATA || sizes[0] > sizeof n->rx) return fmi3Error;
-    memcpy(n->rx, values[0], n->rx_size = sizes[0]);
-    return fmi3OK;
-}
-
-FMI3_Export fmi3Status fmi3GetBinary(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, size_t sizes[], fmi3Binary values[],
-    size_t number) {
-    Node* n = i;
-    values[0] = n->tx, sizes[0] = n->tx_size, n->taken = true;
-#ifdef LIE
-    sizes[0] = LIE;
-#endif
-#ifdef NO_DATA
-    values[0] = NULL;
-#endif
-    return r[0] == TX_DATA ? fmi3OK : fmi3Error;
-}
-
-FMI3_Export fmi3Status fmi3UpdateDiscreteStates(
-    fmi3Instance i, fmi3Boolean* more, fmi3Boolean* end, fmi3Boolean* nominals, fmi3Boolean* values,
-    fmi3Boolean* defined, fmi3Float64* next) {
-    Node* n = i;
-    *more = *end = *nominals = *values = *defined = false;
-    if (n->taken) n->tx_size = 0, n->taken = false;
-    take(n);
-    return fmi3OK;
-}
-
-FMI3_Export fmi3Status fmi3GetIntervalDecimal(
-    fmi3Instance i, const fmi3ValueReference r[], size_t count, fmi3Float64 intervals[],
-    fmi3IntervalQualifier qualifiers[]) {
-    Node* n = i;
+static bool wait(const Node* n, double* seconds) {
 #ifdef SILENT_UNTIL_NS
-    qualifiers[0] = fmi3IntervalNotYetKnown;
-    if (n->now < SILENT_UNTIL_NS) return fmi3OK;
+    if (n->now < SILENT_UNTIL_NS) return false;
 #endif
-    intervals[0] = n->again || n->tx_size ? 0.0 : 1e-9 * (double)(n->next - n->now);
+    *seconds = n->again || n->tx_size ? 0.0 : 1e-9 * (double)(n->next - n->now);
 #ifdef STUCK
-    intervals[0] = STUCK;
+    *seconds = STUCK;
 #endif
-    qualifiers[0] = fmi3IntervalChanged;
-    return fmi3OK;
+    return true;
 }
 
-FMI3_Export fmi3Status fmi3DoStep(
-    fmi3Instance i, fmi3Float64 at, fmi3Float64 step, fmi3Boolean no_set, fmi3Boolean* event,
-    fmi3Boolean* end, fmi3Boolean* early, fmi3Float64* last) {
-    Node* n = i;
-    n->now = llround(1e9 * (at + step));
-    *end = *early = *event = false, *last = at + step;
+static void stepped(Node* n, double from, double* reached, bool* event, bool* early) {
 #ifdef EARLY_S
-    *early = true, *last = EARLY_S;
+    *early = true, *reached = EARLY_S;
 #endif
 #ifdef SILENT_UNTIL_NS
-    if (at < 1e-9 * SILENT_UNTIL_NS && n->now > SILENT_UNTIL_NS) {
-        n->now = SILENT_UNTIL_NS, *early = *event = true, *last = 1e-9 * SILENT_UNTIL_NS;
+    if (from < 1e-9 * SILENT_UNTIL_NS && n->now > SILENT_UNTIL_NS) {
+        n->now = SILENT_UNTIL_NS, *early = *event = true, *reached = 1e-9 * SILENT_UNTIL_NS;
     }
 #endif
 #ifndef COUNTDOWN
-    if (n->again) n->again = false, transmit(n);
-    transmit_due(n);
+    tick(n);
     *event = n->tx_active = n->tx_size > 0;
 #endif
-    return fmi3OK;
 }

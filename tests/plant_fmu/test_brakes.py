@@ -10,7 +10,7 @@ import pytest
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.kinds import BrakeStuckOpen, FramesCorrupt, FramesLoss
+from plant_fmu.faults.kinds import BrakeStuckOpen, FramesLoss
 from tests.plant_fmu.rig import MASS, MS, REST, US, Rig, push, starve
 
 
@@ -75,15 +75,6 @@ def test_drive_watchdog_runs_in_ready_but_not_in_off():
     rig.command(200 * MS, DriveMode.READY)
     rig.at(211 * MS)
     assert rig.states == [DriveState.FAULT] * 6
-
-
-def test_corrupted_commands_do_not_restart_the_drive_watchdog():
-    rig = Rig(faults=[FramesCorrupt(identifier=0x110, at_s=0.5e-3)])
-    rig.run()
-    for k in range(1, 15):
-        rig.command(k * MS, DriveMode.RUN)
-    assert rig.states == [DriveState.FAULT] * 6
-    assert rig.nodes.snapshot().rejected == 14
 
 
 def test_watchdogs_stop_three_legs_if_their_classic_can_command_frame_is_lost():

@@ -9,7 +9,6 @@ from typing import Any
 import fmpy
 import numpy as np
 import pytest
-from fmpy.validation import validate_fmu
 from lxml import etree  # type: ignore[import-untyped]
 
 from plant_fmu.stewart.build import build
@@ -52,11 +51,6 @@ BOOK = {
 
 def described(version: str) -> Any:
     return fmpy.read_model_description(str(build(version)))  # type: ignore[arg-type]
-
-
-@VERSIONS
-def test_fmpy_validates_the_own_fmu_without_a_problem(version):
-    assert validate_fmu(str(build(version))) == []
 
 
 def test_fmi_build_description_follows_its_schema():

@@ -10,36 +10,27 @@ import numpy as np
 import pytest
 
 from drivers.signals import DriveFault, Reaction
-from plant_fmu.faults.kinds import (
-    EncoderDrift,
-    EncoderFreeze,
-    EncoderJump,
-    EncoderLate,
-    EncoderLost,
-    EncoderNoise,
-    EncoderScale,
-    EncoderSign,
-)
+from plant_fmu.faults import kinds
 from tests.plant_fmu.rig import MASS, MS, REST, Rig, accelerating, motion, read
 
-DRIFTS = (EncoderDrift(leg=2, by_m_s=0.5), EncoderDrift(leg=2, by_m_s=0.25, at_s=1e-3))
-JUMP = EncoderJump(leg=2, by_m=3e-3)
+DRIFTS = (kinds.EncoderDrift(leg=2, by_m_s=0.5), kinds.EncoderDrift(leg=2, by_m_s=0.25, at_s=1e-3))
+JUMP = kinds.EncoderJump(leg=2, by_m=3e-3)
 
 
 def test_encoder_drift_fault_shifts_the_reading_at_the_given_rate_until_the_fault_ends():
-    rig = accelerating(EncoderDrift(leg=2, by_m_s=0.5, at_s=2e-3, for_s=4e-3))
+    rig = accelerating(kinds.EncoderDrift(leg=2, by_m_s=0.5, at_s=2e-3, for_s=4e-3))
     for t_ms, drifted, rate in ((1, 0, 0), (2, 0, 0.5), (4, 1e-3, 0.5), (5, 1.5e-3, 0.5), (7, 0, 0)):
         l, dl = motion(t_ms)
         assert read(rig, t_ms) == pytest.approx((l + drifted, dl + rate), abs=1e-9)
     assert rig.nodes.snapshot().length[2] - REST[2] == pytest.approx(motion(7)[0])
 
 
-SCALE, SIGN = partial(EncoderScale, leg=2, factor=1.5), partial(EncoderSign, leg=2)
+SCALE, SIGN = partial(kinds.EncoderScale, leg=2, factor=1.5), partial(kinds.EncoderSign, leg=2)
 
 
 @pytest.mark.parametrize("swapped", [False, True])
 @pytest.mark.parametrize(
-    ("kinds", "first", "second"),
+    ("pair", "first", "second"),
     [
         ((SCALE, SIGN), 1.5, -1.0),
         ((SIGN, SCALE), -1.0, 1.5),
@@ -47,8 +38,8 @@ SCALE, SIGN = partial(EncoderScale, leg=2, factor=1.5), partial(EncoderSign, leg
         ((SIGN, SIGN), -1.0, -1.0),
     ],
 )
-def test_second_encoder_scale_or_sign_fault_continues_from_the_current_reading(kinds, first, second, swapped):
-    faults = [kinds[0](at_s=2e-3), kinds[1](at_s=4e-3)]
+def test_second_encoder_scale_or_sign_fault_continues_from_the_current_reading(pair, first, second, swapped):
+    faults = [pair[0](at_s=2e-3), pair[1](at_s=4e-3)]
     rig = accelerating(*(faults[::-1] if swapped else faults))
     begun, again = motion(2)[0], motion(4)[0]
     read_then = begun + first * (again - begun)
@@ -65,7 +56,7 @@ def test_second_encoder_scale_or_sign_fault_continues_from_the_current_reading(k
 
 @pytest.mark.parametrize("faults", list(itertools.permutations((*DRIFTS, JUMP)))[::2])
 def test_drifts_and_a_jump_of_one_encoder_add_up_in_any_order(faults):
-    rig = accelerating(*faults, EncoderDrift(leg=4, by_m_s=-0.5))
+    rig = accelerating(*faults, kinds.EncoderDrift(leg=4, by_m_s=-0.5))
     l, dl = motion(5)
     assert read(rig, 5) == pytest.approx((l + 3e-3 + 0.5 * 5e-3 + 0.25 * 4e-3, dl + 0.75), abs=1e-9)
     l, dl = motion(6)
@@ -74,13 +65,16 @@ def test_drifts_and_a_jump_of_one_encoder_add_up_in_any_order(faults):
 
 @pytest.mark.parametrize("lost_s", [2e-3, 3e-3])
 def test_encoder_that_freezes_while_lost_later_reads_its_length_at_the_freeze(lost_s):
-    frozen, lost = EncoderFreeze(leg=3, at_s=3e-3), EncoderLost(leg=3, at_s=lost_s, for_s=5e-3 - lost_s)
+    frozen, lost = (
+        kinds.EncoderFreeze(leg=3, at_s=3e-3),
+        kinds.EncoderLost(leg=3, at_s=lost_s, for_s=5e-3 - lost_s),
+    )
     rig = accelerating(frozen, lost)
     assert read(rig, 6, leg=3) == pytest.approx((motion(3)[0], 0.0), abs=1e-9)
 
 
 def test_encoder_with_a_delay_fault_first_keeps_its_reading_and_then_follows_delayed():
-    rig = accelerating(EncoderLate(leg=2, by_ms=3.0, at_s=2e-3))
+    rig = accelerating(kinds.EncoderLate(leg=2, by_ms=3.0, at_s=2e-3))
     seen = [read(rig, t_ms) for t_ms in range(1, 9)]
     assert seen[0] == pytest.approx(motion(1))
     for early in seen[1:4]:
@@ -90,7 +84,7 @@ def test_encoder_with_a_delay_fault_first_keeps_its_reading_and_then_follows_del
 
 
 def test_each_encoder_with_a_delay_fault_has_its_own_delay():
-    rig = accelerating(EncoderLate(leg=2, by_ms=3.0), EncoderLate(leg=4, by_ms=1.0))
+    rig = accelerating(kinds.EncoderLate(leg=2, by_ms=3.0), kinds.EncoderLate(leg=4, by_ms=1.0))
     for t_ms in range(7):
         found = rig.sync(t_ms * MS)
     for leg, late_ms in ((2, 3), (4, 1), (3, 0)):
@@ -101,7 +95,7 @@ def test_each_encoder_with_a_delay_fault_has_its_own_delay():
 
 def test_encoder_noise_fault_is_white_with_the_given_standard_deviation_and_repeats_with_its_seed():
     def lengths(seed: int) -> Any:
-        rig = Rig("ideal", faults=[EncoderNoise(leg=2, sigma_m=1e-3, seed=seed)])
+        rig = Rig("ideal", faults=[kinds.EncoderNoise(leg=2, sigma_m=1e-3, seed=seed)])
         rig.configure()
         measured = [rig.sync(t * MS) for t in range(1, 1001)]
         assert all(m["rate"][2] == 0 and m["length"][3] == REST[3] for m in measured)
@@ -116,7 +110,7 @@ def test_encoder_noise_fault_is_white_with_the_given_standard_deviation_and_repe
 
 
 def test_drive_with_a_lost_encoder_reports_the_loss_and_still_follows_commands():
-    rig = Rig("ideal", faults=[EncoderLost(leg=1, at_s=3e-3)])
+    rig = Rig("ideal", faults=[kinds.EncoderLost(leg=1, at_s=3e-3)])
     rig.run(10 * MASS)
     measurement = rig.sync(8 * MS)
     assert measurement["blind"].tolist() == [False, True, False, False, False, False]
@@ -130,7 +124,7 @@ def test_drive_with_a_lost_encoder_reports_the_loss_and_still_follows_commands()
 
 @pytest.mark.parametrize("reaction", [Reaction.HOLD, Reaction.DAMP])
 def test_drive_with_a_lost_encoder_brakes_in_place_of_watchdog_reaction_damp_or_hold(reaction):
-    rig = Rig("ideal", faults=[EncoderLost(leg=1, at_s=3e-3)], reaction=reaction)
+    rig = Rig("ideal", faults=[kinds.EncoderLost(leg=1, at_s=3e-3)], reaction=reaction)
     rig.run(10 * MASS)
     rig.at(50 * MS)
     assert rig.nodes.snapshot().fault.tolist() == [DriveFault.WATCHDOG] * 6
@@ -139,7 +133,9 @@ def test_drive_with_a_lost_encoder_brakes_in_place_of_watchdog_reaction_damp_or_
 
 def test_watchdog_reaction_hold_keeps_the_present_length_despite_an_earlier_encoder_slip():
     slips = [1e-3, -2e-3, 3e-3, -4e-3, 5e-3, -6e-3]
-    rig = Rig(reaction=Reaction.HOLD, faults=[EncoderJump(leg=leg, by_m=by) for leg, by in enumerate(slips)])
+    rig = Rig(
+        reaction=Reaction.HOLD, faults=[kinds.EncoderJump(leg=leg, by_m=by) for leg, by in enumerate(slips)]
+    )
     rig.run()
     rig.at(50 * MS)
     snapshot = rig.nodes.snapshot()

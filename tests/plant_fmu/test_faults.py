@@ -13,26 +13,8 @@ from pydantic import TypeAdapter, ValidationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame
 from plant_fmu.config import DriveEmulation, StewartPlant
-from plant_fmu.faults import FAULTS, AnyFault
+from plant_fmu.faults import FAULTS, AnyFault, kinds
 from plant_fmu.faults.fault import NEVER_NS, Fault
-from plant_fmu.faults.kinds import (
-    BrakeSlipping,
-    BrakeSlow,
-    BrakeStuckClosed,
-    BrakeStuckOpen,
-    DriveGain,
-    DriveReset,
-    DriveSaturation,
-    DriveSign,
-    DriveSilence,
-    EncoderFreeze,
-    EncoderJump,
-    EncoderLate,
-    EncoderNoise,
-    FramesForgedFeedback,
-    PayloadStep,
-    WrenchStep,
-)
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
 MS, S = 1_000_000, 1_000_000_000
@@ -124,7 +106,7 @@ def test_every_kind_of_injected_fault_has_an_effect(name):
 
 
 def test_fault_tied_to_a_mode_counts_its_time_from_the_first_entry_into_that_mode():
-    fault = EncoderFreeze(leg=0, mode="APPROACH", at_s=0.2, for_s=0.1)
+    fault = kinds.EncoderFreeze(leg=0, mode="APPROACH", at_s=0.2, for_s=0.1)
     schedule = Schedule(FaultPlan([fault]), 0)
     assert schedule.starts_ns(fault) == NEVER_NS
     assert schedule.waiting == (fault,)
@@ -140,10 +122,10 @@ def test_fault_tied_to_a_mode_counts_its_time_from_the_first_entry_into_that_mod
 
 
 SCHEDULED = (
-    DriveSilence(leg=1, at_s=2e-3, for_s=3e-3),
-    DriveReset(leg=2, at_s=3e-3),
-    EncoderJump(leg=3, by_m=1e-3, at_s=4e-3),
-    DriveSilence(leg=4, mode="TRACKING"),
+    kinds.DriveSilence(leg=1, at_s=2e-3, for_s=3e-3),
+    kinds.DriveReset(leg=2, at_s=3e-3),
+    kinds.EncoderJump(leg=3, by_m=1e-3, at_s=4e-3),
+    kinds.DriveSilence(leg=4, mode="TRACKING"),
 )
 T0 = 7 * S
 BEGIN_END = (
@@ -171,18 +153,23 @@ def test_active_faults_at_an_instant_do_not_depend_on_earlier_queries():
 
 def test_several_faults_of_one_kind_on_one_leg_add_up_multiply_or_take_the_worst_by_kind():
     faults = [
-        *[WrenchStep(force_N=(1.0, 2.0, 3.0), moment_N_m=(4.0, 5.0, 6.0))] * 2,
-        *[EncoderJump(leg=3, by_m=by_m) for by_m in (1e-3, 2e-3)],
-        *[EncoderLate(leg=5, by_ms=1.5)] * 2,
-        *[BrakeSlipping(leg=2, share=0.5)] * 2,
-        *[BrakeSlow(leg=2, by_ms=20.0)] * 2,
-        *[DriveGain(leg=1, factor=3.0)] * 2,
-        *[DriveSign(leg=3)] * 3,
-        *[DriveSaturation(leg=3, limit_N=limit) for limit in (200.0, 100.0, 300.0)],
-        *(BrakeStuckOpen(leg=1), BrakeStuckClosed(leg=1), BrakeStuckClosed(leg=2), BrakeStuckOpen(leg=2)),
-        *[FramesForgedFeedback(leg=1, by_m=by_m) for by_m in (1e-3, 2e-3)],
-        *[EncoderNoise(leg=leg, sigma_m=1e-3) for leg in (1, 1, 2)],
-        *[PayloadStep(mass_kg=mass) for mass in (10.0, 20.0)],
+        *[kinds.WrenchStep(force_N=(1.0, 2.0, 3.0), moment_N_m=(4.0, 5.0, 6.0))] * 2,
+        *[kinds.EncoderJump(leg=3, by_m=by_m) for by_m in (1e-3, 2e-3)],
+        *[kinds.EncoderLate(leg=5, by_ms=1.5)] * 2,
+        *[kinds.BrakeSlipping(leg=2, share=0.5)] * 2,
+        *[kinds.BrakeSlow(leg=2, by_ms=20.0)] * 2,
+        *[kinds.DriveGain(leg=1, factor=3.0)] * 2,
+        *[kinds.DriveSign(leg=3)] * 3,
+        *[kinds.DriveSaturation(leg=3, limit_N=limit) for limit in (200.0, 100.0, 300.0)],
+        *(
+            kinds.BrakeStuckOpen(leg=1),
+            kinds.BrakeStuckClosed(leg=1),
+            kinds.BrakeStuckClosed(leg=2),
+            kinds.BrakeStuckOpen(leg=2),
+        ),
+        *[kinds.FramesForgedFeedback(leg=1, by_m=by_m) for by_m in (1e-3, 2e-3)],
+        *[kinds.EncoderNoise(leg=leg, sigma_m=1e-3) for leg in (1, 1, 2)],
+        *[kinds.PayloadStep(mass_kg=mass) for mass in (10.0, 20.0)],
     ]
     present = Schedule(FaultPlan(faults), 0).present(2 * S)
     assert present.wrench.tolist() == [2.0, 4.0, 6.0, 8.0, 10.0, 12.0]

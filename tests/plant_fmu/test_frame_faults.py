@@ -12,18 +12,7 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BUS, Frame
 from plant_fmu.drives import drives_end
 from plant_fmu.drives.gateway import Gateway
-from plant_fmu.faults.kinds import (
-    BusFlood,
-    BusOff,
-    BusSecondController,
-    DriveSilence,
-    FramesCorrupt,
-    FramesDelay,
-    FramesDuplicate,
-    FramesLoss,
-    FramesOld,
-    FramesReorder,
-)
+from plant_fmu.faults import kinds
 from plant_fmu.faults.plan import FaultPlan, Schedule
 
 MS, S = 1_000_000, 1_000_000_000
@@ -35,14 +24,16 @@ def carry(schedule: Schedule, t_ns: int, frame: Frame = FRAME, *, to_drives: boo
     return schedule.carry(t_ns, frame, to_drives=to_drives)
 
 
-@pytest.mark.parametrize("kind", [FramesLoss, FramesDuplicate, FramesReorder, FramesDelay])
+@pytest.mark.parametrize(
+    "kind", [kinds.FramesLoss, kinds.FramesDuplicate, kinds.FramesReorder, kinds.FramesDelay]
+)
 @pytest.mark.parametrize("identifier", [0, 0x80, 0x7FF])
 def test_frame_fault_affects_the_given_identifier_during_the_given_time(kind, identifier):
-    more = {"by_ms": 1.0} if kind is FramesDelay else {}
+    more = {"by_ms": 1.0} if kind is kinds.FramesDelay else {}
     fault = kind(identifier=identifier, at_s=1.0, for_s=1.0, **more)
     frames = [Frame(each, b"x", BUS * k) for each in (0, 0x80, 0x7FF) for k in (0, 1)]
     for t_ns, struck in ((S - 1, False), (S, True), (2 * S - 1, True), (2 * S, False)):
-        schedule = Schedule(FaultPlan([DriveSilence(leg=0), fault]), 0)
+        schedule = Schedule(FaultPlan([kinds.DriveSilence(leg=0), fault]), 0)
         passed = [f for f in frames if carry(schedule, t_ns, f) == [(t_ns, f, False)]]
         assert passed == [f for f in frames if not struck or f.id != identifier]
 
@@ -50,7 +41,7 @@ def test_frame_fault_affects_the_given_identifier_during_the_given_time(kind, id
 @pytest.mark.parametrize("to_drives", [True, False])
 @pytest.mark.parametrize("bus", [None, *range(MAX_BUSES)])
 def test_bus_off_fault_cuts_the_given_bus_or_all_buses_in_both_directions(bus, to_drives):
-    schedule = Schedule(FaultPlan([BusOff(bus=bus, at_s=1.0, for_s=1.0)]), 0)
+    schedule = Schedule(FaultPlan([kinds.BusOff(bus=bus, at_s=1.0, for_s=1.0)]), 0)
     frames = [Frame(0x80, b"", BUS * k) for k in range(MAX_BUSES)]
     for t_ns, cut in ((S, True), (2 * S, False)):
         passed = [f for f in frames if carry(schedule, t_ns, f, to_drives=to_drives)]
@@ -58,7 +49,7 @@ def test_bus_off_fault_cuts_the_given_bus_or_all_buses_in_both_directions(bus, t
     assert schedule.present(S).bus_off == ((1 << MAX_BUSES) - 1 if bus is None else 1 << bus)
 
 
-@pytest.mark.parametrize("kind", [FramesLoss, FramesDuplicate])
+@pytest.mark.parametrize("kind", [kinds.FramesLoss, kinds.FramesDuplicate])
 def test_random_frame_faults_have_the_given_probability_and_repeat_with_the_seed(kind):
     def struck(seed: int, of_plan: int = 7) -> list[bool]:
         schedule = Schedule(FaultPlan([kind(probability=0.1, seed=seed)], seed=of_plan), 0)
@@ -72,13 +63,13 @@ def test_random_frame_faults_have_the_given_probability_and_repeat_with_the_seed
 
 
 def test_two_random_frame_faults_with_the_same_seed_are_independent():
-    schedule = Schedule(FaultPlan([FramesLoss(probability=0.5), FramesLoss(probability=0.5)]), 0)
+    schedule = Schedule(FaultPlan([kinds.FramesLoss(probability=0.5), kinds.FramesLoss(probability=0.5)]), 0)
     passed = sum(len(carry(schedule, 0)) for _ in range(10_000))
     assert abs(passed - 2500) < 5 * (10_000 * 0.25 * 0.75) ** 0.5
 
 
 def test_frame_corruption_fault_flips_one_bit_and_does_not_change_empty_frames():
-    schedule = Schedule(FaultPlan([FramesCorrupt()]), 0)
+    schedule = Schedule(FaultPlan([kinds.FramesCorrupt()]), 0)
     places = set()
     for _ in range(2000):
         ((_, frame, foreign),) = carry(schedule, 0)
@@ -103,21 +94,21 @@ def on_buses(schedule: Schedule, buses: Sequence[int], *, to_drives: bool) -> li
 
 @pytest.mark.parametrize("to_drives", [True, False])
 def test_frame_reordering_fault_swaps_frames_of_the_same_bus(to_drives: bool):
-    schedule = Schedule(FaultPlan([FramesReorder()]), 0)
+    schedule = Schedule(FaultPlan([kinds.FramesReorder()]), 0)
     found = on_buses(schedule, (0, 1, 1, 0), to_drives=to_drives)
     assert found == [(1, 2), (1, 1), (0, 3), (0, 0)]
 
 
 @pytest.mark.parametrize("to_drives", [True, False])
 def test_frame_repetition_fault_repeats_an_old_frame_on_the_bus_of_that_frame(to_drives: bool):
-    schedule = Schedule(FaultPlan([FramesOld(back=1)]), 0)
+    schedule = Schedule(FaultPlan([kinds.FramesOld(back=1)]), 0)
     found = on_buses(schedule, (0, 1, 0, 1), to_drives=to_drives)
     assert found == [(0, 0), (1, 1), (0, 2), (0, 0), (1, 3), (1, 1)]
 
 
 @pytest.mark.parametrize("back", [1, 2, 5])
 def test_frame_repetition_fault_repeats_the_frame_sent_the_given_number_of_frames_ago(back):
-    schedule = Schedule(FaultPlan([FramesOld(back=back, probability=0.3)]), 0)
+    schedule = Schedule(FaultPlan([kinds.FramesOld(back=back, probability=0.3)]), 0)
     again = []
     for number in range(100):
         present, *old = schedule.carry(number, Frame(0x110, bytes((number,)), 0), to_drives=True)
@@ -130,9 +121,9 @@ def test_frame_repetition_fault_repeats_the_frame_sent_the_given_number_of_frame
 
 def test_bus_flood_fault_wins_arbitration_against_all_frames_of_the_protocol():
     protocol = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
-    (there,) = BusFlood(identifier=0x123, bus=2).frames(protocol, 7)
+    (there,) = kinds.BusFlood(identifier=0x123, bus=2).frames(protocol, 7)
     assert (there.id, there.data, there.bus) == (0x123, bytes(8), 2)
-    (frame,) = BusFlood().frames(protocol, 0)
+    (frame,) = kinds.BusFlood().frames(protocol, 0)
     assert frame.id < min(f.id for f in (*protocol.traits.cyclic_frames, *protocol.traits.emergency_stop))
     assert not frame.flags
 
@@ -140,14 +131,14 @@ def test_bus_flood_fault_wins_arbitration_against_all_frames_of_the_protocol():
 @pytest.mark.parametrize("bus", range(6))
 def test_frames_of_an_injected_bus_flood_or_second_controller_are_on_the_given_bus(bus):
     each_leg = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 60_000.0, [[leg] for leg in range(6)])
-    for fault in (BusFlood(bus=bus), BusSecondController(bus=bus)):
+    for fault in (kinds.BusFlood(bus=bus), kinds.BusSecondController(bus=bus)):
         assert {frame.bus for frame in fault.frames(each_leg, 3)} == {bus}
 
 
 @pytest.mark.parametrize("t0_ms", [0, 1, 3_600_000])
 def test_frames_of_the_extra_node_of_a_bus_flood_fault_are_queued_at_most_2_ms_ahead(t0_ms):
     t0_ns = t0_ms * MS
-    schedule = Schedule(FaultPlan([BusFlood(rate_Hz=2000.0, for_s=0.012)]), t0_ns)
+    schedule = Schedule(FaultPlan([kinds.BusFlood(rate_Hz=2000.0, for_s=0.012)]), t0_ns)
     gateway = Gateway(schedule, PROTOCOL, drives_end(PROTOCOL), t0_ns)
     sent, heard = [], []
     for until_ms in (0.0, 1.0, 1.5, 1.5, 6.5, 8.0, 20.0, 21.0):

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.rotations import rotation_vector_kernel, turn
-from plant_fmu.drives.sensor_kernels import carried
 
 ANGLES = [0.0, 1e-12, 1e-9, 9.9e-5, 1.01e-4, 1e-2, 1.0, 2.0, 3.0, np.pi - 1e-6]
 
@@ -21,15 +20,3 @@ def test_rotation_vector_of_a_sensor_sample_agrees_with_scipy_for_any_axis_and_a
     expected = (Rotation.from_rotvec(other) * Rotation.from_rotvec(r)).as_rotvec()
     found = rotation_vector_kernel(turn(other, Rotation.from_rotvec(r).as_matrix()))
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13 if angle < 3.1 else 1e-9)
-
-
-@pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("dt_s", [0.0, 3e-5, 1e-3])
-def test_pose_of_a_sensor_sample_is_extrapolated_with_its_twist(dt_s, seed):
-    chance = np.random.default_rng(seed)
-    p, twist = chance.standard_normal(3), 3.0 * chance.standard_normal(6)
-    R = Rotation.from_rotvec(chance.standard_normal(3))
-    there, turned = carried(p, R.as_matrix(), twist, dt_s)
-    np.testing.assert_allclose(there, p + dt_s * twist[:3], rtol=0.0, atol=1e-15)
-    expected = Rotation.from_rotvec(dt_s * twist[3:]) * R
-    np.testing.assert_allclose(turned, expected.as_matrix(), rtol=0.0, atol=1e-15)

@@ -127,5 +127,5 @@ class PointedPlant(Plant):
             moved.context, *(each.ctypes.data for each in inputs), n, measured.ctypes.data
         )
         if status:
-            raise moved.refused(status, *inputs, n)
+            raise moved.refused(status, force, brake, wrench, n)
         return measured[:6], measured[6:12]

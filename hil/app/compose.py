@@ -273,7 +273,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         from plant_fmu.drives.sensor_nodes import SensedNodes
 
         gravity = c.platform.gravity_m_s2
-        return SensedNodes(*drives, sensors, c.plant.sensors, gravity), plant
+        return SensedNodes(sensors, c.plant.sensors, gravity, *drives), plant
     except BaseException:
         plant.close()
         raise

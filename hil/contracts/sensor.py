@@ -118,7 +118,7 @@ class SensorContract:
         noise = SensorEmulation.model_validate({self.ROLE: own})
         drives = LegsProtocol("fd", (1, 2, 3, 4, 5, 6))
         given = Mover(), drives, DriveEmulation(), DriveSettings(), None
-        nodes = SensedNodes(*given, protocol, noise, (0.0, 0.0, -9.81))
+        nodes = SensedNodes(protocol, noise, (0.0, 0.0, -9.81), *given)
         end = drives.controller_end(_SETUP)
         opening = protocol.opening(Callee(end.opening, end.opener, end), drives, RATE_Hz)
         heard, late = unheard(protocol.tables), np.zeros(0, FRAME)

@@ -13,9 +13,7 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.compiled.pointed import FAILED, data_at
-from drivers.config import DriveSettings
 from drivers.errors import PlantError, ProtocolError
-from drivers.family import Family
 from drivers.frame_array import FRAME, sent_frames, timed_array
 from drivers.protocol import Frame
 from drivers.rotations import turn
@@ -23,12 +21,11 @@ from drivers.sensing.family import SYNC_ID
 from drivers.sensing.layout import FORCE, FREE, IMU, LENGTH, STAMPED, unheard
 from drivers.sensors import SensorProtocol
 from drivers.tick_columns import SENSORS, Record
-from plant_fmu.config import DriveEmulation, SensorEmulation
+from plant_fmu.config import SensorEmulation
 from plant_fmu.drives.drive_rules import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.sensor_kernels import SENSED, SILENT, fill_frame, listen, measure, velocity_at
-from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.plant import Plant, Truth
+from plant_fmu.plant import Truth
 
 
 class SensedNodes(Nodes):
@@ -40,16 +37,9 @@ class SensedNodes(Nodes):
     """
 
     def __init__(
-        self,
-        plant: Plant,
-        protocol: Family,
-        emulation: DriveEmulation,
-        drives: DriveSettings,
-        faults: FaultPlan | None,
-        sensors: SensorProtocol,
-        noise: SensorEmulation,
-        gravity: Sequence[float],
+        self, sensors: SensorProtocol, noise: SensorEmulation, gravity: Sequence[float], *given: Any
     ) -> None:
+        """Create drives and sensors; given: arguments of `Nodes`."""
         self._sensors, self._noise, self._gravity = sensors, noise, gravity
         self._of = sensors.sensors
         """Slot -> sensor."""
@@ -71,7 +61,7 @@ class SensedNodes(Nodes):
         self._synced = {slot: self._of[slot].bus for slot in synced if self._of[slot].device.poll is None}
         """Slots that sample at each SYNC, and their buses."""
         self._called_by = np.array(sorted({frame.id for frame in self._calls} | {SYNC_ID}), np.uint32)
-        super().__init__(plant, protocol, emulation, drives, faults)
+        super().__init__(*given)
 
     def start(self, t0_ns: int) -> None:
         """`Nodes.start`; sensors with a clock of their own take the first sample at `t0_ns`."""

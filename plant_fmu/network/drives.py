@@ -238,8 +238,8 @@ class FmuNodes(Nodes):
         n, since_ns = self._record, at_ns - self._t0_ns
         k, n["now_ns"] = round(since_ns / self._h_ns), at_ns
         if (steps := k - int(n["k"])) > 0:
-            inputs = (n[name].copy() for name in ("force", "brake", "wrench"))
-            n["length"], n["rate"] = self._plant.step(*inputs, steps * self._h_s)
+            force, brake, wrench = (n[name].copy() for name in ("force", "brake", "wrench"))
+            n["length"], n["rate"] = self._plant.step(force, brake, wrench, steps * self._h_s)
             n["k"] = k
         while self._edges and self._edges[0] <= at_ns:
             del self._edges[0]

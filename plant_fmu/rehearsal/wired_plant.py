@@ -66,7 +66,7 @@ class WiredPlant(Plant):
             self._slips = SLIP_m_s * (given - carried) / self._rated_N
             self._slipped += self._slips * h_s
             given = carried
-        at_leg = np.bincount(w.motor, w.force_gain * given * w.driven, LEGS)
+        at_leg: Any = np.bincount(w.motor, w.force_gain * given * w.driven, LEGS)
         held = np.where(w.opens, brake[:, None], 1.0).min(axis=0)
         held = np.where(w.brake_inverted, 1.0 - held, held)
         held = np.where(np.isnan(w.stuck), held, w.stuck) * w.brake_share

@@ -14,7 +14,6 @@ from click.testing import CliRunner
 from fmpy.validation import validate_fmu
 from lxml import etree  # type: ignore[import-untyped]
 
-from drivers.errors import PlantError
 from drivers.frame_array import received_frames
 from drivers.protocol import Received
 from drivers.signals import Command, DriveMode, Mode, Reaction
@@ -295,12 +294,6 @@ def test_can_fmu_passes_the_checks_of_fmpy_and_the_schema_of_its_terminals():
         root = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
     schema = Path(fmpy.__file__).parent / "schema/fmi3/fmi3TerminalsAndIcons.xsd"
     etree.XMLSchema(file=str(schema)).assertValid(root)
-
-
-def test_can_fmu_with_two_equal_node_numbers_ends_its_initialisation_with_the_legs(tmp_path):
-    fmu = build("3.0", bus={"node_id": [1, 2, 3, 4, 2, 6]})
-    with pytest.raises(PlantError, match="ExitInitializationMode"):
-        Node(read_can_fmu(fmu), "drives")
 
 
 def test_command_builds_the_can_fmu_of_a_configuration_and_refuses_another_protocol(tmp_path):

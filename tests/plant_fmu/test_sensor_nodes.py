@@ -69,7 +69,7 @@ def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=Non
     """Valid samples by kind, (receive time s, sample time s, values), and the number of rejected frames."""
     protocol = SensorProtocol(BusSettings(), settings)
     args = (plant or Mover(), DRIVES, DriveEmulation(), DriveSettings(), faults)
-    nodes = SensedNodes(*args, protocol, noise, G)
+    nodes = SensedNodes(protocol, noise, G, *args)
     nodes.start(7 * MS)
     found: dict[str, list[tuple[float, float, np.ndarray]]] = {"tracker": [], "imu": [], "wrench": []}
     readings = Readings()
@@ -192,7 +192,7 @@ def test_sensor_time_stamps_are_relative_to_the_sync_on_the_bus_of_the_sensor(bu
     settings = SensorSettings(imu=ImuSettings(channel="b"))
     protocol = SensorProtocol(BusSettings.model_validate({"channels": legs}), settings)
     drives = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 60_000.0, ((0, 1, 2), (3, 4, 5)))
-    nodes = SensedNodes(Mover(), drives, DriveEmulation(), DriveSettings(), None, protocol, EXACT, G)
+    nodes = SensedNodes(protocol, EXACT, G, Mover(), drives, DriveEmulation(), DriveSettings())
     nodes.start(0)
     nodes.step(1 * MS, [Received(1 * MS, opening(drives, 0)[bus])])
     sensed = [frame.bus for _, frame in nodes.step(20 * MS, []) if frame.id == 0x488]
@@ -210,7 +210,7 @@ def test_sensors_on_a_plant_without_a_pose_are_refused():
 def sensed(plant: Mover, settings: SensorSettings = ALL, noise: SensorEmulation = EXACT) -> SensedNodes:
     protocol = SensorProtocol(BusSettings(), settings)
     args = (plant, DRIVES, DriveEmulation(), DriveSettings(), None)
-    return SensedNodes(*args, protocol, noise, G)
+    return SensedNodes(protocol, noise, G, *args)
 
 
 @pytest.mark.parametrize("t0_ns", [0, 1, 3 * MS])

@@ -288,12 +288,6 @@ int drives_start(Plant *plant, char *why)
 {
     Drives *d = &plant->drives;
     const Values *v = &plant->v;
-    for (int leg = 0; leg < LEGS; leg++)
-        for (int other = 0; other < leg; other++)
-            if (v->node_id[leg] == v->node_id[other]) {
-                snprintf(why, REASON_SIZE, "node_id: legs %d and %d have the same number", other + 1, leg + 1);
-                return -1;
-            }
     memset(d, 0, sizeof *d);
     d->present = -1, d->event_mode = 1;
     for (int leg = 0; leg < LEGS; leg++) {

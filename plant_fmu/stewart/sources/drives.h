@@ -27,7 +27,7 @@ typedef struct {
     unsigned char operations[BUS_BYTES]; /* if they are too many, the later ones are lost, as in a full mailbox */
 } Drives;
 
-/* Power up. Returns -1 with the reason for two equal node numbers. */
+/* Power up. Returns -1 with the reason if the plant refuses. */
 int drives_start(struct Plant *plant, char *why);
 
 /* Advance drives and plant to `time` + `dt`. Returns -1 with the reason if the plant refuses. */

@@ -1,5 +1,7 @@
 """The record (NODES) of six emulated drives, and the reasons for which a call of `live` returns."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from drivers.signals import LEGS
@@ -13,120 +15,77 @@ LOOKS_BEFORE, LOOKS_AFTER, FORGES = 1, 2, 4
 """Bits of `look`."""
 ROOM = 128
 """Free elements required before frames are filled in."""
+
+
+def _fields(kind: str, names: str, *shape: int) -> Iterator[tuple[str, str, tuple[int, ...]]]:
+    return ((name, kind, shape) for name in names.split())
+
+
+_INTEGER, _REAL = "<i8", "<f8"
 NODES = np.dtype(
     [
         # Per drive.
-        ("state", "<i8", (LEGS,)),  # DriveState
-        ("fault", "<i8", (LEGS,)),  # DriveFault
-        ("configured", "<i8", (LEGS,)),  # 1: set up
-        ("counter", "<i8", (LEGS,)),  # counter of the last command
-        ("watchdog_ns", "<i8", (LEGS,)),
-        ("deadline_ns", "<i8", (LEGS,)),  # end of the watchdog time, or of damping and holding
-        ("reaction", "<i8", (LEGS,)),  # Reaction to a fault in RUN
-        ("acting", "<i8", (LEGS,)),  # Reaction to the latched fault
-        ("lost", "<i8", (LEGS,)),  # INVALID: no signal from the encoder
+        *_fields(_INTEGER, "state fault", LEGS),  # DriveState, DriveFault
+        *_fields(_INTEGER, "configured counter", LEGS),  # 1: set up; counter of the last command
+        *_fields(_INTEGER, "watchdog_ns deadline_ns", LEGS),  # its time; end of it, or of damping, holding
+        *_fields(_INTEGER, "reaction acting", LEGS),  # Reaction to a fault in RUN, to the latched fault
+        *_fields(_INTEGER, "lost", LEGS),  # INVALID: no signal from the encoder
         # Per drive: its defects in a rehearsal.
-        ("number", "<i8", (LEGS,)),  # leg whose node number it has; MUTE: receives and sends nothing
-        ("waits", "<f8", (LEGS,)),  # factor on its watchdog time
-        ("strange", "<i8", (LEGS,)),  # heartbeat identifier of a MUTE one with factory settings; 0: none
+        *_fields(_INTEGER, "number", LEGS),  # leg whose node number it has; MUTE: receives and sends nothing
+        *_fields(_INTEGER, "strange", LEGS),  # heartbeat identifier of a MUTE one as at delivery; 0: none
+        *_fields(_REAL, "waits", LEGS),  # factor on its watchdog time
         # Per brake.
-        ("stuck", "<i8", (LEGS,)),  # position of a stuck one; WORKS: not stuck
-        ("slow_ns", "<i8", (LEGS,)),  # additional delay, unknown to its drive
-        ("moved_ns", "<i8", (LEGS,)),  # when a moving one has moved, as its drive assumes
-        ("followed_ns", "<i8", (LEGS,)),  # when it has actually moved
+        *_fields(_INTEGER, "stuck slow_ns", LEGS),  # position, WORKS: not stuck; delay unknown to its drive
+        *_fields(_INTEGER, "moved_ns followed_ns", LEGS),  # when a moving one has moved, for its drive; truly
+        *_fields(_REAL, "shut truly_shut share", LEGS),  # 1: closed, for its drive; truly; share of its force
         # Per drive: command, encoder, force.
-        ("command", "<f8", (LEGS,)),  # N, last valid command; zero outside READY and RUN
-        ("held_m", "<f8", (LEGS,)),  # position held by HOLD
-        ("lagged", "<f8", (LEGS,)),  # N, state of the lag
-        ("frozen", "<f8", (LEGS,)),  # m, reading of a frozen encoder; NaN: not frozen
-        ("offset", "<f8", (LEGS,)),  # m, slip of the encoder
-        ("forged", "<f8", (LEGS,)),  # m, excess length in a second answer of its node; NaN: none
-        ("scale", "<f8", (LEGS,)),  # scale factor of the encoder
-        ("shift", "<f8", (LEGS,)),  # m, offset of the encoder
-        ("drift", "<f8", (LEGS,)),  # m/s, of the encoder
-        ("gain", "<f8", (LEGS,)),  # force factor of the wiring
-        ("most", "<f8", (LEGS,)),  # N, largest force of the drive
-        # State of the plant.
-        ("force", "<f8", (LEGS,)),  # N, force of the drives, before losses
-        ("brake", "<f8", (LEGS,)),  # 1: engaged
-        ("share", "<f8", (LEGS,)),  # actual share of the brake's force
-        ("kept", "<f8", (LEGS,)),  # N, last force of the drive
-        ("shut", "<f8", (LEGS,)),  # 1: the brake has closed, 0: it has opened, as its drive assumes
-        ("truly_shut", "<f8", (LEGS,)),  # its actual state
+        *_fields(
+            _REAL, "command kept", LEGS
+        ),  # N, last valid command, zero outside READY and RUN; last force
+        *_fields(_REAL, "held_m lagged", LEGS),  # m, position held by HOLD; N, state of the lag
+        *_fields(_REAL, "frozen", LEGS),  # m, reading of a frozen encoder; NaN: not frozen
+        *_fields(_REAL, "forged", LEGS),  # m, excess length in a second answer of its node; NaN: none
+        *_fields(_REAL, "scale shift offset drift", LEGS),  # of the encoder: factor, m, slip m, m/s
+        *_fields(_REAL, "gain most", LEGS),  # force factor of the wiring; N, largest force
         # Common to all drives.
-        ("opening_ns", "<i8"),  # duration for a brake
-        ("closing_ns", "<i8"),
-        ("brake_after_ns", "<i8"),  # time from damping or holding to the brake
-        ("limit_N", "<f8"),  # rated force
-        ("damping", "<f8"),  # N s/m, of reaction DAMP
-        ("stiffness", "<f8"),  # N/m, of reaction HOLD
-        ("lag_end", "<f8"),  # end value of the force lag over one step of the plant
-        ("lag_mean", "<f8"),  # its mean
+        *_fields(
+            _INTEGER, "opening_ns closing_ns brake_after_ns"
+        ),  # of brakes; from damping, holding to brakes
+        *_fields(_REAL, "limit_N damping stiffness"),  # rated force; N s/m of DAMP; N/m of HOLD
+        *_fields(_REAL, "lag_end lag_mean"),  # end value and mean of the force lag over one step of the plant
         # Addresses, and the buffer for frames to send.
-        ("move", "<i8"),  # function and context of the plant, see `Moved`
-        ("plant", "<i8"),
-        ("parse", "<i8"),  # functions and context of the drives' end, see `DrivesEnd`
-        ("answer", "<i8"),
-        ("report", "<i8"),
-        ("end", "<i8"),
-        ("messages", "<i8"),  # MESSAGE elements received
-        ("asked", "<i8"),  # MESSAGE to answer
-        ("reading", "<i8"),  # READING in the answer
-        ("out", "<i8"),  # FRAME elements to send
-        ("room", "<i8"),  # its capacity
-        ("sent", "<i8"),  # number of frames in it
-        ("senders", "<i8"),  # address of the leg of each answer
+        *_fields(_INTEGER, "move plant"),  # function and context of the plant, see `Moved`
+        *_fields(_INTEGER, "parse answer report end"),  # of the drives' end, see `DrivesEnd`
+        *_fields(_INTEGER, "messages asked"),  # MESSAGE elements received; MESSAGE to answer
+        *_fields(_INTEGER, "reading senders"),  # READING in the answer; leg of each answer
+        *_fields(_INTEGER, "out room sent"),  # FRAME elements to send; capacity; number of frames in it
         # State of the pass.
-        ("frame", "<i8"),  # number of the next frame
-        ("heard", "<i8"),  # number of messages in the last frame
-        ("message", "<i8"),  # number of the next message
-        ("latching", "<i8"),  # progress in reading the encoders; 0: not reading
-        ("pending", "<i8"),  # reports to send
-        ("reported", "<i8"),  # number of reports sent
-        ("due", "<i8"),  # 1: the reports are heartbeats
-        ("t_ns", "<i8"),  # present time
-        ("steps", "<i8"),  # of the plant
-        ("refusal", "<i8"),  # status with which the plant refused
+        *_fields(_INTEGER, "frame heard message"),  # next frame; number of messages in the last one; next one
+        *_fields(_INTEGER, "latching"),  # progress in reading the encoders; 0: not reading
+        *_fields(_INTEGER, "pending reported due"),  # reports to send; sent; 1: they are heartbeats
+        *_fields(_INTEGER, "reports", LEGS),  # legs whose drives send them
+        *_fields(_INTEGER, "steps refusal"),  # of the plant; status with which it refused
         # Times.
-        ("t0_ns", "<i8"),  # start
-        ("now_ns", "<i8"),  # end of the last pass
-        ("until_ns", "<i8"),  # end of this pass
-        ("k", "<i8"),  # index of the plant's grid point
-        ("calm_ns", "<i8"),  # nothing is due before this time
-        ("edge_ns", "<i8"),  # next start or end of a fault
-        ("beat", "<i8"),  # number of heartbeats so far
-        ("beat_ns", "<i8"),  # time of the next heartbeat
-        ("spoken", "<i8"),  # number of unrequested readings so far
-        ("reading_ns", "<i8"),  # time of the next unrequested reading
+        *_fields(_INTEGER, "t_ns t0_ns now_ns until_ns"),  # present; start; end of the last pass, of this one
+        *_fields(_INTEGER, "k"),  # index of the plant's grid point
+        *_fields(_INTEGER, "calm_ns edge_ns"),  # nothing is due before; next start or end of a fault
+        *_fields(_INTEGER, "beat beat_ns spoken reading_ns"),  # heartbeats so far, next; unrequested readings
         # Counts, see `Snapshot`.
-        ("syncs", "<i8"),
-        ("commands", "<i8"),
-        ("repeated", "<i8"),
-        ("rejected", "<i8"),
+        *_fields(_INTEGER, "syncs commands repeated rejected"),
         # Tasks of the pass.
-        ("look", "<i8"),  # bits LOOKS_BEFORE, LOOKS_AFTER, FORGES
-        ("silent", "<i8"),  # bit i: drive i sends nothing
-        ("wired", "<i8"),  # 1: some `number` is wrong
-        ("controls", "<i8"),  # 1: a drive in HOLD or DAMP controls by its encoder
-        ("lags", "<i8"),  # 1: there is a force lag
-        ("not_finite", "<i8"),  # 1: the plant returns NaN
-        ("geared", "<i8"),  # 1: there is a transmission
+        *_fields(_INTEGER, "look silent"),  # LOOKS_BEFORE, LOOKS_AFTER, FORGES; bit i: drive i sends nothing
+        *_fields(_INTEGER, "wired controls"),  # 1: some `number` is wrong; a drive in HOLD or DAMP controls
+        *_fields(_INTEGER, "lags not_finite geared"),  # 1: force lag; the plant returns NaN; transmission
         # Constants of grid, encoders and time.
-        ("h_ns", "<f8"),  # grid step
-        ("quantum_m", "<f8"),  # resolution of the encoders
-        ("full_loss_m_s", "<f8"),  # see `Transmission`
-        ("beat_share", "<f8"),  # ns between the heartbeats of two successive drives
-        ("reading_share", "<f8"),  # the same for readings
+        *_fields(_REAL, "h_ns quantum_m"),  # grid step; resolution of the encoders
+        *_fields(_REAL, "beat_share reading_share"),  # ns between heartbeats, readings of successive drives
         # Answer of the plant, and transmission between it and the drives.
-        ("measured", "<f8", (3, LEGS)),  # lengths m, rates m/s and applied forces N from the plant
-        ("length", "<f8", (LEGS,)),  # m
-        ("rate", "<f8", (LEGS,)),  # m/s
-        ("wrench", "<f8", (LEGS,)),  # N, N m on the platform
-        ("at_leg", "<f8", (LEGS,)),  # N, forces on the legs, after losses
-        ("uncounted", "<f8", (LEGS,)),  # m, length that the encoders do not measure
-        ("driving", "<f8", (LEGS,)),  # efficiencies, see `Transmission`
-        ("back_driving", "<f8", (LEGS,)),
-        ("reports", "<i8", (LEGS,)),  # legs whose drives send reports
+        *_fields(_REAL, "measured", 3, LEGS),  # lengths m, rates m/s and applied forces N from the plant
+        *_fields(_REAL, "length rate wrench", LEGS),  # m, m/s; N, N m on the platform
+        *_fields(_REAL, "force brake at_leg", LEGS),  # N before losses; 1: engaged; N after losses
+        *_fields(_REAL, "uncounted", LEGS),  # m, length that the encoders do not measure
+        *_fields(_REAL, "driving back_driving", LEGS),  # efficiencies, see `Transmission`
+        *_fields(_REAL, "full_loss_m_s"),
     ]
 )
 """State of six drives, of their time and of the pass."""

@@ -57,8 +57,8 @@ class TrestleLegs(UncoupledLegs):
         at["x"][leg] = min(max(length, at["shortest"][leg]), at["longest"][leg])
         at["v"][leg] = 0.0
 
-    def push(self, leg: int, force: float, *, on: bool = False) -> None:
-        """Push a leg by hand, N, > 0 extends, 0: no hand; it follows for HAND_M, or always (`on`)."""
+    def push(self, leg: int | list[int], force: float, *, on: bool = False) -> None:
+        """Push a leg, or several, by hand, N, > 0 extends, 0: no hand; for HAND_M, or always (`on`)."""
         self.legs["hand"][leg], self.legs["hand_from"][leg] = force, np.inf if on else self.legs["x"][leg]
 
     def hold_at_gauge(self, leg: int | None) -> None:
@@ -204,13 +204,10 @@ class RehearsalBench:
                 legs.place(leg, s.length_min + value * (s.length_max - s.length_min))
             case "measure":
                 return self.length(leg) + TAPE_M * float(self._chance.standard_normal())
-            case "push":
-                legs.push(leg, push)
-            case "push_on":
-                legs.push(leg, push, on=True)
+            case "push" | "push_on":
+                legs.push(leg, push, on=act == "push_on")
             case "push_others":
-                for other in {*range(LEGS)} - {leg}:
-                    legs.push(other, push)
+                legs.push([other for other in OWN if other != leg], push)
             case "read_push":
                 return self._read(min(float(legs.legs["friction"][leg]), push))
             case "read_held":
@@ -218,8 +215,7 @@ class RehearsalBench:
             case "let_go":
                 legs.push(leg, 0.0)
             case "let_go_all":
-                for each in range(LEGS):
-                    legs.push(each, 0.0)
+                legs.push([*OWN], 0.0)
             case "clamp":
                 legs.hold_at_gauge(leg)
             case "free":

@@ -33,15 +33,9 @@ EXPORT void *FMI(fmi3InstantiateCoSimulation)(String name, String token, String 
     return instance_new(name, token, environment, logger, n_intermediate > 0 ? "intermediate update" : NULL);
 }
 
-#define NO_INSTANCE(function, what)                                                                                \
-    EXPORT void *FMI(function)(String name, String token, String resources, bool visible, bool logging,            \
-                               void *environment, Logger logger)                                                   \
-    {                                                                                                              \
-        if (logger) logger(environment, ERROR, "logStatusError", what " is not supported by this FMU");            \
-        return NULL;                                                                                               \
-    }
-NO_INSTANCE(fmi3InstantiateModelExchange, "model exchange")
-NO_INSTANCE(fmi3InstantiateScheduledExecution, "scheduled execution")
+/* The model description offers co-simulation only. */
+EXPORT void *FMI(fmi3InstantiateModelExchange)(void) { return NULL; }
+EXPORT void *FMI(fmi3InstantiateScheduledExecution)(void) { return NULL; }
 
 API FMI(fmi3EnterInitializationMode)(Instance *instance, bool tolerance_defined, double tolerance, double start,
                                      bool stop_defined, double stop)

@@ -114,83 +114,73 @@ class Mistake:
     """The mistake is made when the platform is mounted, after the tests on trestles."""
 
 
-MISTAKES: dict[str, tuple[tuple[str, ...], int, tuple[float, ...], str]] = {
-    "ids_swapped": (("motor", "encoder", "brake"), 2, (), "node numbers of two drives exchanged"),
-    "ids_rotated": (("motor", "encoder", "brake"), 3, (), "node numbers rotated among three drives"),
-    "motor_crossed": (("motor",), 2, (), "motor cables of two drives exchanged"),
-    "encoder_crossed": (("encoder",), 2, (), "encoder cables of two drives exchanged"),
-    "brake_crossed": (("brake",), 2, (), "brake cables of two drives exchanged"),
-    "brake_of_another": (("brake",), 1, (), "the drive also opens the brake of another leg"),
-    "mounted_elsewhere": (("base_joint",), 2, (), "base joints of two legs exchanged"),
-    "platform_end_elsewhere": (("platform_joint",), 2, (), "platform joints of two legs exchanged"),
+MISTAKES: dict[str, tuple[str, int, tuple[float, ...], str]] = {
+    "ids_swapped": ("motor encoder brake", 2, (), "node numbers of two drives exchanged"),
+    "ids_rotated": ("motor encoder brake", 3, (), "node numbers rotated among three drives"),
+    "motor_crossed": ("motor", 2, (), "motor cables of two drives exchanged"),
+    "encoder_crossed": ("encoder", 2, (), "encoder cables of two drives exchanged"),
+    "brake_crossed": ("brake", 2, (), "brake cables of two drives exchanged"),
+    "brake_of_another": ("brake", 1, (), "the drive also opens the brake of another leg"),
+    "mounted_elsewhere": ("base_joint", 2, (), "base joints of two legs exchanged"),
+    "platform_end_elsewhere": ("platform_joint", 2, (), "platform joints of two legs exchanged"),
     "encoder_counts_another": (
-        ("encoder",),
+        "encoder",
         1,
         (),
         "two encoders measure one leg: an encoder is fitted to another leg",
     ),
-    "same_id": (("answers_as",), 1, (), "a drive has the node number of another one"),
-    "encoder_sign": (("scale",), 1, (-1.0, -4.0, -0.25), "the encoder counts backwards"),
-    "encoder_scale": (("scale",), 1, (2.0, 0.01, 100.0), "wrong encoder resolution"),
-    "rate_sign": (
-        ("rate_scale",),
-        1,
-        (-1.0, -100.0, -0.01),
-        "the rate has the opposite sign of the position",
-    ),
-    "rate_scale": (("rate_scale",), 1, (2.0, 0.0, 100.0), "the rate is not in the unit of the position"),
-    "force_one_way": (("force_one_way",), 1, (1.0,), "the motor can only pull, or only push"),
+    "same_id": ("answers_as", 1, (), "a drive has the node number of another one"),
+    "encoder_sign": ("scale", 1, (-1.0, -4.0, -0.25), "the encoder counts backwards"),
+    "encoder_scale": ("scale", 1, (2.0, 0.01, 100.0), "wrong encoder resolution"),
+    "rate_sign": ("rate_scale", 1, (-1.0, -100.0, -0.01), "the rate has the opposite sign of the position"),
+    "rate_scale": ("rate_scale", 1, (2.0, 0.0, 100.0), "the rate is not in the unit of the position"),
+    "force_one_way": ("force_one_way", 1, (1.0,), "the motor can only pull, or only push"),
     "force_saturates": (
-        ("force_most",),
+        "force_most",
         1,
         (0.008, 0.0, 1.0),
         "the drive force saturates; size: share of the rated force",
     ),
-    "force_sign": (("force_gain",), 1, (-1.0, -4.0, -0.25), "motor phases exchanged: force reversed"),
-    "force_scale": (("force_gain",), 1, (0.5, 0.0, 100.0), "force too large or too small"),
-    "wrong_lead": (("scale", "force_gain"), 1, (1.25, 0.25, 4.0), "wrong lead or gear ratio"),
-    "drive_reversed": (("scale", "force_gain"), 1, (-1.0, -4.0, -0.25), "motor and encoder reversed"),
-    "encoder_frozen": (("frozen",), 1, (1.0,), "the encoder reading is frozen"),
-    "encoder_jumps": (("jump_m",), 1, (6e-3, -0.1, 0.1), "the encoder reading jumps at mid-stroke; size: m"),
-    "encoder_stops": (("stops",), 1, (1.0,), "the encoder reading stops at mid-stroke"),
-    "backlash": (("play_m",), 1, (0.005, 0.0, 0.1), "play between leg and encoder; size: m"),
-    "offset": (("offset_m",), 1, (0.004, -0.1, 0.1), "homing error of the encoder; size: m"),
-    "brake_stuck_shut": (("stuck",), 1, (1.0,), "the brake does not open"),
-    "brake_stuck_open": (("stuck",), 1, (0.0,), "the brake does not close"),
-    "brake_inverted": (("brake_inverted",), 1, (1.0,), "the brake closes when it should open"),
-    "brake_weak": (("brake_share",), 1, (0.01, 0.0, 1.0), "the brake is too weak; size: share of its force"),
-    "brake_late": (("brake_late_s",), 1, (0.2, 0.0, 1.0), "the brake closes late; size: delay, s"),
-    "encoder_late": (("encoder_late_s",), 1, (0.02, 0.0, 0.2), "the encoder reading is old; size: age, s"),
-    "force_lags": (("force_lag_s",), 1, (0.05, 0.0, 1.0), "the drive's force lags; size: time constant, s"),
+    "force_sign": ("force_gain", 1, (-1.0, -4.0, -0.25), "motor phases exchanged: force reversed"),
+    "force_scale": ("force_gain", 1, (0.5, 0.0, 100.0), "force too large or too small"),
+    "wrong_lead": ("scale force_gain", 1, (1.25, 0.25, 4.0), "wrong lead or gear ratio"),
+    "drive_reversed": ("scale force_gain", 1, (-1.0, -4.0, -0.25), "motor and encoder reversed"),
+    "encoder_frozen": ("frozen", 1, (1.0,), "the encoder reading is frozen"),
+    "encoder_jumps": ("jump_m", 1, (6e-3, -0.1, 0.1), "the encoder reading jumps at mid-stroke; size: m"),
+    "encoder_stops": ("stops", 1, (1.0,), "the encoder reading stops at mid-stroke"),
+    "backlash": ("play_m", 1, (0.005, 0.0, 0.1), "play between leg and encoder; size: m"),
+    "offset": ("offset_m", 1, (0.004, -0.1, 0.1), "homing error of the encoder; size: m"),
+    "brake_stuck_shut": ("stuck", 1, (1.0,), "the brake does not open"),
+    "brake_stuck_open": ("stuck", 1, (0.0,), "the brake does not close"),
+    "brake_inverted": ("brake_inverted", 1, (1.0,), "the brake closes when it should open"),
+    "brake_weak": ("brake_share", 1, (0.01, 0.0, 1.0), "the brake is too weak; size: share of its force"),
+    "brake_late": ("brake_late_s", 1, (0.2, 0.0, 1.0), "the brake closes late; size: delay, s"),
+    "encoder_late": ("encoder_late_s", 1, (0.02, 0.0, 0.2), "the encoder reading is old; size: age, s"),
+    "force_lags": ("force_lag_s", 1, (0.05, 0.0, 1.0), "the drive's force lags; size: time constant, s"),
     "coupling_slips": (
-        ("coupling",),
+        "coupling",
         1,
         (0.01, 0.0, 1.0),
         "the coupling slips; size: force at which it slips, share of the rated force",
     ),
-    "friction": (("friction",), 1, (0.012, 0.0, 1.0), "additional friction; size: share of the rated force"),
-    "end_stop": (("shorter",), 1, (0.15, 0.0, 0.9), "part of the stroke is blocked; size: share of it"),
-    "watchdog_missing": (("watchdog",), 1, (inf,), "the drive has no watchdog"),
-    "watchdog_long": (("watchdog",), 1, (8.0, 1.0, 100.0), "watchdog time too long; size: factor"),
-    "watchdog_short": (("watchdog",), 1, (0.3, 0.01, 1.0), "watchdog time too short; size: factor"),
-    "absent": (("present",), 1, (0.0,), "a drive without power or bus"),
-    "wrong_protocol": (("other_protocol",), 1, (1.0,), "the drive uses CANopen with factory settings"),
-    "joint_elsewhere": (
-        ("joint_off_m",),
-        1,
-        (0.03, -0.1, 0.1),
-        "the base joint is too far outwards; size: m",
-    ),
-    "wrong_home": (("home_off_m",), 0, (0.015, -0.1, 0.1), "the platform is too high at home; size: m"),
-    "payload": (("payload",), 0, (2.0, 0.1, 10.0), "wrong mass and inertia of the platform; size: factor"),
-    "frames_lost": (("frames_lost",), 0, (0.05, 0.0, 0.9), "frames are lost; size: share of all frames"),
-    "upside_down": (("gravity",), 0, (-1.0,), "the machine hangs from the ceiling"),
+    "friction": ("friction", 1, (0.012, 0.0, 1.0), "additional friction; size: share of the rated force"),
+    "end_stop": ("shorter", 1, (0.15, 0.0, 0.9), "part of the stroke is blocked; size: share of it"),
+    "watchdog_missing": ("watchdog", 1, (inf,), "the drive has no watchdog"),
+    "watchdog_long": ("watchdog", 1, (8.0, 1.0, 100.0), "watchdog time too long; size: factor"),
+    "watchdog_short": ("watchdog", 1, (0.3, 0.01, 1.0), "watchdog time too short; size: factor"),
+    "absent": ("present", 1, (0.0,), "a drive without power or bus"),
+    "wrong_protocol": ("other_protocol", 1, (1.0,), "the drive uses CANopen with factory settings"),
+    "joint_elsewhere": ("joint_off_m", 1, (0.03, -0.1, 0.1), "the base joint is too far outwards; size: m"),
+    "wrong_home": ("home_off_m", 0, (0.015, -0.1, 0.1), "the platform is too high at home; size: m"),
+    "payload": ("payload", 0, (2.0, 0.1, 10.0), "wrong mass and inertia of the platform; size: factor"),
+    "frames_lost": ("frames_lost", 0, (0.05, 0.0, 0.9), "frames are lost; size: share of all frames"),
+    "upside_down": ("gravity", 0, (-1.0,), "the machine hangs from the ceiling"),
 }
 """Name -> fields of Wiring that it changes, number of legs, sizes, description.
 
 A mistake of 0 legs concerns the whole machine. Sizes are the usual one, and the smallest and the largest that
 can be requested, if a size can be stated."""
-OF_WATCHDOG = frozenset(name for name, (fields, *_) in MISTAKES.items() if "watchdog" in fields)
+OF_WATCHDOG = frozenset(name for name, (fields, *_) in MISTAKES.items() if "watchdog" in fields.split())
 """Mistakes of drives that have a watchdog."""
 
 
@@ -215,7 +205,7 @@ def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
         raise ValueError(f"mistake {mistake.name}: different legs 0 to 5 are allowed, given: {list(legs)}")
     value = next(iter(size), None) if mistake.value is None else mistake.value
     changes: dict[str, object] = {}
-    for field in fields:
+    for field in fields.split():
         there = getattr(wiring, field)
         new = [] if count == 0 else list(there)
         if count > 1:

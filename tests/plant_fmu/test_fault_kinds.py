@@ -16,7 +16,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults import kinds
 from plant_fmu.faults.plan import FaultPlan
 from tests.drivers.legs_frames import command_frames, decode, opening
-from tests.plant_fmu.rig import MASS, MS, REST, Rig, accelerating, motion, push, read
+from tests.plant_fmu.rig import MASS, MS, REST, Rig, accelerating, motion, push
 from tests.plant_fmu.test_sensor_nodes import Mover, rotation
 
 # drives and brakes
@@ -187,18 +187,3 @@ def test_weight_of_an_injected_payload_acts_at_its_point_of_the_moving_platform(
         force = 100.0 * np.array(gravity)
         expected = [*force, *np.cross(0.5 * rotation(1e-3 * t_ms)[:, 0], force)]
         np.testing.assert_allclose(nodes.snapshot().wrench, expected, rtol=0, atol=1e-9)
-
-
-# modes
-
-
-def test_fault_tied_to_a_mode_begins_when_the_controller_reaches_that_mode():
-    fault = kinds.EncoderFreeze(leg=2, mode="TRACKING", at_s=2e-3)
-    rig = accelerating(fault)
-    assert read(rig, 3) == pytest.approx(motion(3))
-    rig.nodes.reached("APPROACH")
-    rig.nodes.reached("TRACKING")
-    assert rig.nodes.schedule.starts_ns(fault) == 5 * MS
-    assert not rig.nodes.waiting
-    assert read(rig, 4) == pytest.approx(motion(4))
-    assert read(rig, 6) == pytest.approx((motion(5)[0], 0.0))

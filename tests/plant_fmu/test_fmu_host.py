@@ -1,6 +1,5 @@
 """Hosting: agreement with fmpy's own simulation, and invalid FMUs."""
 
-import os
 import zipfile
 
 import fmpy
@@ -77,17 +76,6 @@ def test_own_fmu_has_no_unpacked_files_once_it_is_loaded(temporary):
     host.close()
     assert not np.array_equal(moved[0], moved[1])
     np.testing.assert_array_equal(again, moved[0])
-
-
-def test_fmu_parameters_may_be_arrays_numbers_and_enumeration_items():
-    free = FmuHost(spec(build("2.0"), parameters={"mass": 1150}))
-    q = free.step(FORCE, np.zeros(6), np.zeros(6), 0.02)[0]
-    free.close()
-    heavy = FmuHost(
-        spec(build("2.0"), parameters={"mass": 2300, "leg_spin": "universal", "com": [0.0, 0.0, 0.1]})
-    )
-    assert (heavy.step(FORCE, np.zeros(6), np.zeros(6), 0.02)[0] < q - 1e-4).all()
-    heavy.close()
 
 
 @pytest.mark.parametrize(
@@ -171,13 +159,3 @@ def test_fmu_with_a_zip_bomb_is_refused_and_nothing_is_unpacked(tmp_path, tempor
     with pytest.raises(PlantError, match="times its packed size"):
         FmuHost(spec(bad))
     assert list(temporary.iterdir()) == []
-
-
-def test_fmu_with_a_damaged_archive_member_is_refused(tmp_path):
-    data = bytearray(build("3.0").read_bytes())
-    with zipfile.ZipFile(build("3.0")) as archive:
-        member = next(m for m in archive.infolist() if m.filename.startswith("binaries/"))
-    data[member.header_offset + 2000 : member.header_offset + 2100] = os.urandom(100)
-    (tmp_path / "bad.fmu").write_bytes(data)
-    with pytest.raises(PlantError, match=r"damaged|unpacked"):
-        FmuHost(spec(tmp_path / "bad.fmu"))

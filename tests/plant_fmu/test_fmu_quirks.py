@@ -140,17 +140,6 @@ def test_step_that_differs_from_the_fixed_step_of_the_fmu_is_refused(tmp_path, e
     assert (word in found) if word else not found
 
 
-def test_message_about_a_refused_step_gives_the_step_size_stated_by_the_fmu(tmp_path):
-    path = legs_fmu(tmp_path / "a.fmu", "FIXED=0.002", experiment='stepSize="0.002"')
-    with (
-        contextlib.closing(FmuHost(spec(path))) as host,
-        pytest.raises(PlantError, match=r"its own step is 0\.002 s"),
-    ):
-        pushed(host)
-    with contextlib.closing(FmuHost(spec(path, step_us=2000.0))) as host:
-        host.step(FORCE, OPEN, CALM, 0.002)
-
-
 SWITCH = """
 NO_VARIABLES(Get%s)
 API FMI(fmi3Set%s)(Instance *instance, const Ref *refs, size_t n, const %s *values, size_t n_values)

@@ -14,11 +14,9 @@ from pydantic import ValidationError
 from drivers.errors import PlantError
 from hil.app.configuration.yaml_positions import parse
 from hil.cli import main
-from plant_fmu.bench import Bench
-from plant_fmu.config import BenchPlant, FmuPlant
+from plant_fmu.config import FmuPlant
 from plant_fmu.fmu.check import FmuSpec
 from plant_fmu.fmu.host import FmuHost
-from plant_fmu.fmu.probe import probe
 from plant_fmu.fmu.propose import propose
 from plant_fmu.stewart.build import build
 
@@ -169,17 +167,6 @@ def test_control_characters_in_an_fmu_description_are_escaped_in_the_output(tmp_
     with pytest.raises(PlantError, match="the FMU needs") as error:
         FmuHost(spec(path))
     assert str(error.value).isprintable()
-
-
-def test_fmu_with_six_uncoupled_legs_is_distinguished_from_a_platform():
-    single = probe(Bench(BenchPlant(type="bench", mass_kg=50.0)), 10.0, 1e-3)
-    assert single.uncoupled is True
-    np.testing.assert_allclose(np.diag(single.mobility), 1 / 50.0, rtol=1e-3)
-    host = FmuHost(spec(build("3.0")))
-    platform = probe(host, 10.0, 1e-3)
-    host.close()
-    assert platform.uncoupled is False
-    assert (np.diag(platform.mobility) > 0.0).all()
 
 
 @pytest.mark.parametrize(

@@ -48,9 +48,6 @@ def test_fmu_legs_count_as_uncoupled_if_each_moves_the_others_by_less_than_a_tho
         assert Probe(np.zeros(6), mobility).uncoupled is single
 
 
-@pytest.mark.parametrize("leg", range(6))
-def test_coupling_of_fmu_legs_is_unknown_unless_every_leg_responds(leg):
-    for answer in (0.0, np.nan):
-        own = np.ones(6)
-        own[leg] = answer
-        assert Probe(np.zeros(6), np.diag(own)).uncoupled is None
+@pytest.mark.parametrize("answer", [0.0, np.nan])
+def test_coupling_of_fmu_legs_is_unknown_unless_every_leg_responds(answer):
+    assert Probe(np.zeros(6), np.diag([1.0, 1.0, 1.0, answer, 1.0, 1.0])).uncoupled is None

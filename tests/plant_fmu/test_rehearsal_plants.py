@@ -138,14 +138,6 @@ def trestles(friction_N: Array = CALM, brake_N: float = 1000.0, start: float = 0
     )
 
 
-def test_a_free_leg_accelerates_by_force_minus_friction_over_mass():
-    legs = trestles(friction_N=2.0 + 0.1 * SIX)
-    x, v = legs.step(np.full(6, 5.0), CALM, CALM, 0.01)
-    left_N = 3.0 - 0.1 * SIX
-    np.testing.assert_allclose(v, left_N / (4.0 + SIX) * 0.01, rtol=0.02)  # damping takes less than 2 %
-    np.testing.assert_allclose(x - 0.3, 0.5 * left_N / (4.0 + SIX) * 1e-4, rtol=0.02)
-
-
 def test_each_leg_has_its_own_brake_and_its_own_ends_of_travel():
     legs = trestles(brake_N=2.0)
     _, v = legs.step(np.full(6, 9.0), np.ones(6), CALM, 0.01)

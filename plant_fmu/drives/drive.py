@@ -99,11 +99,17 @@ class Drives:
     def disturb(self, present: Present, t_ns: int) -> None:
         """Apply the faults present at `t_ns`, when the plant has reached it.
 
-        A frozen encoder keeps its current reading; a scale error counts from the current length.
+        A frozen encoder keeps its current reading; a scale error counts from the current length. Those of one
+        leg multiply, in the order in which they began.
         """
         n = self.seen
         self.drift(present, t_ns)
-        self._scale(present, n.length)
+        scale, shift = np.ones(LEGS), np.zeros(LEGS)
+        for leg, factor, own in sorted(present.scales, key=lambda each: each[2].start_ns):
+            origin = self._origins.setdefault((leg, own.start_ns), float(n.length[leg]))
+            shift[leg] += scale[leg] * (1.0 - factor) * origin
+            scale[leg] *= factor
+        n.scale, n.shift = scale, shift
         n.lost = 0  # one without signal freezes at its present value
         reads = [encoder(n, leg)[0] for leg in range(LEGS)]
         n.lost = [INVALID if lost else 0 for lost in present.lost]
@@ -115,18 +121,6 @@ class Drives:
         for leg in np.flatnonzero(present.reset).tolist():
             enter(n, leg, BOOT, int(DriveFault.NONE))
             n.configured[leg], n.counter[leg] = False, _NO_COUNTER
-
-    def _scale(self, present: Present, length: Array) -> None:
-        """Apply the scale errors of encoders, each to the motion since its fault began.
-
-        The scale errors of one leg multiply, in the order in which they began.
-        """
-        scale, shift = np.ones(LEGS), np.zeros(LEGS)
-        for leg, factor, own in sorted(present.scales, key=lambda each: each[2].start_ns):
-            origin = self._origins.setdefault((leg, own.start_ns), float(length[leg]))
-            shift[leg] += scale[leg] * (1.0 - factor) * origin
-            scale[leg] *= factor
-        self.seen.scale, self.seen.shift = scale, shift
 
     def drift(self, present: Present, t_ns: int) -> None:
         """Set the offsets and drifts of encoders, m, to their values at `t_ns`."""

@@ -157,41 +157,31 @@ class Reader:
         return reference(self.path, variable.name, str(variable.valueReference))
 
     def _check_unit(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
-        name = stated_unit(variable)
+        """Check the declared unit of a variable, or assume the configured one; arrays have one for all."""
+        name, needed = stated_unit(variable), f"{' or '.join(allowed)} is needed"
         if name is None:
-            self._assume(key, variable, allowed)
-            return
-        base = getattr(self.units.get(name), "baseUnit", None)
-        if base is None:
+            names = (variable.name, variable.name.split("[")[0], key)
+            name = next((self.assume_unit[n] for n in names if n in self.assume_unit), None)
+            if name is None and key in {"wrench", "truth"}:
+                return
+            if name is None:
+                raise PlantError(
+                    f"{self.path}: variable {variable.name!r} declares no unit; {needed}: hil drives no "
+                    "force or length in an unknown unit. Export it with units; if you know that it is in "
+                    f"{allowed[0]}, write assume_unit: {{{key}: {allowed[0]}}} next to its path"
+                )
+            fits = name in allowed
+            self.assumed[variable.name] = name
+        elif (base := getattr(self.units.get(name), "baseUnit", None)) is None:
             fits = any(name in _SPELLINGS.get(want, {want}) for want in allowed)
         else:
             scaled = (base.factor, base.offset) != (1, 0) or any((base.A, base.K, base.mol, base.cd))
             fits = not scaled and (base.kg, base.m, base.s) in {_SI[want] for want in allowed}
-        if fits:
-            return
-        raise PlantError(
-            f"{self.path}: variable {variable.name!r} is in {name!r}; {' or '.join(allowed)} is needed. "
-            "Convert it inside the FMU: hil does not convert units"
-        )
-
-    def _assume(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
-        """Assume the configured unit for a variable that declares none; arrays have one for all elements."""
-        names = (variable.name, variable.name.split("[")[0], key)
-        assumed = next((self.assume_unit[n] for n in names if n in self.assume_unit), None)
-        if assumed is None:
-            if key in {"wrench", "truth"}:
-                return
+        if not fits:
             raise PlantError(
-                f"{self.path}: variable {variable.name!r} declares no unit; {' or '.join(allowed)} is "
-                "needed: hil drives no force or length in an unknown unit. Export it with units; if you know "
-                f"that it is in {allowed[0]}, write assume_unit: {{{key}: {allowed[0]}}} next to its path"
+                f"{self.path}: variable {variable.name!r} is in {name!r}; {needed}. "
+                "Convert it inside the FMU: hil does not convert units"
             )
-        if assumed not in allowed:
-            raise PlantError(
-                f"{self.path}: assume_unit: {variable.name!r} in {assumed!r}; {' or '.join(allowed)} is "
-                "needed. Convert it inside the FMU: hil does not convert units"
-            )
-        self.assumed[variable.name] = assumed
 
     def channel(
         self,

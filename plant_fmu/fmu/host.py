@@ -21,7 +21,7 @@ from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import extract, open_archive
-from plant_fmu.fmu.check import FmuSpec, Interface, Start, read_interface, shown
+from plant_fmu.fmu.check import FmuSpec, Interface, read_interface, shown
 from plant_fmu.plant import Moved, PointedPlant, Truth, truth_of
 
 _REFUSED = {fmu_call.INPUTS_REFUSED: "take its inputs", fmu_call.OUTPUTS_REFUSED: "give its outputs"}
@@ -171,11 +171,14 @@ class FmuHost(PointedPlant):
 
     def _initialise(self) -> None:
         fmu, self._record["ready"] = self._fmu, False
+        doing = "the FMU cannot be initialised"
         try:
             if self._interface.major == 2:
                 fmu.setupExperiment(startTime=0.0)
             for start in self._interface.starts:
-                self._set_start(start)
+                doing = f"the FMU refused parameter {start.name!r} = {list(start.values)}"
+                getattr(fmu, f"set{start.setter}")(list(start.references), list(start.values))
+            doing = "the FMU cannot be initialised"
             fmu.enterInitializationMode()
             self._inputs[:] = 0.0
             if (brake := int(self._record["slots"][1])) >= 0:
@@ -186,23 +189,13 @@ class FmuHost(PointedPlant):
         except PlantError:
             raise
         except Exception as error:
-            raise self._error(f"the FMU cannot be initialised: {error}") from error
+            raise self._error(f"{doing}: {error}") from error
         if not fmu_call.succeeded(status):
             raise self._refused(status, "take its inputs")
         self._record["ready"], self._record["stepped"], self._record["ticks"] = True, False, 0
         ended = fmu_call.fetch(self._record)
         if ended != fmu_call.DONE:
             raise self._failed(ended)
-
-    def _set_start(self, start: Start) -> None:
-        values = list(start.values)
-        try:
-            getattr(self._fmu, f"set{start.setter}")(list(start.references), values)
-        except Exception as error:
-            raise PlantError(
-                f"{self.spec.path}: the FMU refused parameter {start.name!r} = {values}"
-                f"{self._reported() or f': {error}'}"
-            ) from error
 
     def reset(self) -> tuple[Array, Array]:
         """Reset the FMU and initialise it with the same parameters: force 0, brakes engaged, no wrench.

@@ -228,7 +228,15 @@ def build(
     """
     ready = shipped(fmi_version) if bus is None and not release else None
     model = PLANT if bus is None else Model(can.can_rows(bus), bus=True)
-    return _copied(ready or _built(fmi_version, model, release=release), out)
+    fmu = ready or _built(fmi_version, model, release=release)
+    if out is None:
+        return fmu
+    try:
+        with whole_file(out) as temporary:
+            shutil.copyfile(fmu, temporary)
+    except OSError as error:
+        raise PlantError(f"{out}: the FMU cannot be written: {error.strerror or error}") from error
+    return out
 
 
 def _built(fmi_version: FmiVersion, model: Model, *, release: bool) -> Path:
@@ -258,14 +266,3 @@ def _built(fmi_version: FmiVersion, model: Model, *, release: bool) -> Path:
             f"the FMU could not be written: {error}; set XDG_CACHE_HOME to a folder that can be written"
         ) from error
     return cached
-
-
-def _copied(fmu: Path, out: Path | None) -> Path:
-    if out is None:
-        return fmu
-    try:
-        with whole_file(out) as temporary:
-            shutil.copyfile(fmu, temporary)
-    except OSError as error:
-        raise PlantError(f"{out}: the FMU cannot be written: {error.strerror or error}") from error
-    return out

@@ -147,7 +147,10 @@ def _variables(root: ET.Element, version: FmiVersion, rows: Sequence[Variable]) 
         parts = [(v.name, v.type, v.start)]
         if two:
             each = [None if v.start is None else v.start[k : k + 1] for k in range(v.size)]
-            parts = [(table.element_name(v, k), table.type_of(v, k), start) for k, start in enumerate(each)]
+            parts = [
+                (table.element_name(v, k), v.types[k] if v.types else v.type, start)
+                for k, start in enumerate(each)
+            ]
         element = table.TYPES[v.type].element
         tag = "Real" if two and element == "Float64" else element
         first = sum(map(len, keys.values()))

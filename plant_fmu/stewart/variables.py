@@ -187,11 +187,6 @@ VARIABLES: tuple[Variable, ...] = (
 )
 
 
-def type_of(variable: Variable, element: int) -> str:
-    """Name of the type definition of one element of a variable."""
-    return variable.types[element] if variable.types else variable.type
-
-
 def element_name(variable: Variable, element: int) -> str:
     """Name of one element in FMI 2: ``name[i]`` or ``name[i,j]``, counted from 1."""
     if not variable.shape:

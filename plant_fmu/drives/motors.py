@@ -46,24 +46,18 @@ SAID = np.dtype(
 fault, and while it is in fault the family's code of the fault."""
 DEVICES = np.dtype(
     [
-        # the family
-        *((name, "<i8") for name in ("obey", "encode", "ear")),
-        ("everyone", "<i8"),  # number that addresses all drives; -1: none
+        # the family; everyone: number that addresses all drives, -1: none; the watchdog time as at delivery
+        *(
+            (name, "<i8")
+            for name in ("obey", "encode", "ear", "everyone", "watchdog_ns", "reaction", "buses")
+        ),
         ("codes", "<i8", (len(DriveFault),)),  # code sent per fault
-        ("watchdog_ns", "<i8"),  # factory setting
-        ("reaction", "<i8"),
-        ("buses", "<i8"),  # number
-        ("bus_of", "<i8", (LEGS,)),
-        ("nodes", "<i8", (LEGS,)),
+        *((name, "<i8", (LEGS,)) for name in ("bus_of", "nodes")),
         *FIELDS,
-        # memory
-        ("heard", "<i8", (LEGS,)),  # number of commands so far; none is a repetition
-        ("enabled", "<i8", (LEGS,)),
+        # memory; heard: number of commands so far; host, asked: sender and size of the last query
+        *((name, "<i8", (LEGS,)) for name in ("heard", "enabled", "host", "asked")),
         ("registers", "<f8", (LEGS, MOST_REGISTERS)),  # their values, in the order of the family
-        ("host", "<i8", (LEGS,)),  # sender of the last query, in families with queries
-        ("asked", "<i8", (LEGS,)),  # number of queried registers
-        ("wanted", "<i8", (LEGS, MOST_ASKED)),
-        ("widths", "<i8", (LEGS, MOST_ASKED)),
+        *((name, "<i8", (LEGS, MOST_ASKED)) for name in ("wanted", "widths")),
         ("said", "<f8", (SAID.itemsize // 8,)),  # scratch: an element of SAID
     ]
 )

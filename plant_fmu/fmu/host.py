@@ -84,19 +84,14 @@ class FmuHost(PointedPlant):
             raise
 
     def _load(self) -> None:
-        description = self._interface.description
         try:
             self._fmu = instantiate(
                 self._folder.name,
-                description,
+                self._interface.description,
                 self._interface.library,
                 lambda *given: self._log(given[-3], given[-1]),  # both standards end alike
             )
-        except AttributeError as error:
-            raise PlantError(
-                f"{self.spec.path}: the binary lacks a function of FMI {description.fmiVersion}: {error}"
-            ) from error
-        except Exception as error:
+        except Exception as error:  # also of a binary that lacks a function
             raise self._error(f"the FMU cannot be loaded: {error}") from error
         three, record = self._interface.major >= 3, self._record
         reals = ("fmi3SetFloat64", "fmi3GetFloat64") if three else ("fmi2SetReal", "fmi2GetReal")

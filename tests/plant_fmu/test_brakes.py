@@ -10,7 +10,7 @@ import pytest
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.faults.fault import Fault
-from plant_fmu.faults.kinds import BrakeStuckOpen, FramesLoss
+from plant_fmu.faults.kinds import BrakeStuckOpen
 from tests.plant_fmu.rig import MASS, MS, REST, US, Rig, push, starve
 
 
@@ -75,14 +75,6 @@ def test_drive_watchdog_runs_in_ready_but_not_in_off():
     rig.command(200 * MS, DriveMode.READY)
     rig.at(211 * MS)
     assert rig.states == [DriveState.FAULT] * 6
-
-
-def test_watchdogs_stop_three_legs_if_their_classic_can_command_frame_is_lost():
-    rig = Rig("classic", faults=[FramesLoss(identifier=0x101, at_s=0.5e-3)])
-    rig.run()
-    for k in range(1, 15):
-        rig.command(k * MS, DriveMode.RUN)
-    assert rig.states == [DriveState.RUN] * 3 + [DriveState.FAULT] * 3
 
 
 def test_watchdog_reaction_brake_stops_the_leg_zero_coasts_and_damp_slows_it_exponentially():

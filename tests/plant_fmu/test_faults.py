@@ -51,25 +51,13 @@ def example(name: str, **more: Any) -> Fault:
 
 INVALID: dict[str, list[tuple[str, Any]]] = {
     "encoder_freeze": [("leg", 6), ("leg", -1)],
-    "drive_silence": [
-        ("for_s", -1),
-        ("for_s", 0),
-        ("for_s", inf),
-        ("for_s", nan),
-        ("at_s", -1.0),
-        ("at_s", inf),
-    ],
+    "drive_silence": [("for_s", 0), ("for_s", inf), ("at_s", -1.0), ("at_s", inf)],
     "drive_reset": [("for_s", 1.0), ("at_s", nan), ("mode", "FAULT")],
-    "encoder_jump": [("by_m", nan)],
-    "encoder_late": [("by_ms", 0.0)],
     "sensor_lost": [("sensor", "length_6"), ("sensor", "lengths"), ("axis", 6)],
     "sensor_outlier": [("percent", 0.0), ("percent", 101.0), ("by", nan)],
-    "drive_gain": [("factor", inf)],
     "brake_slipping": [("share", 1.1)],
     "wrench_step": [("force_N", (0.0, 0.0, nan))],
-    "payload_step": [("mass_kg", 0.0)],
     "frames_loss": [("probability", 1.1), ("probability", nan)],
-    "frames_old": [("back", 0)],
     "bus_flood": [("rate_Hz", 0.0), ("identifier", 0x800)],
     "process_stop": [("for_s", None)],
 }

@@ -6,7 +6,6 @@ import re
 import zipfile
 from typing import Any
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 from pydantic import ValidationError
@@ -54,17 +53,6 @@ def show(path):
     value: Any = document.value
     assert value is not None
     return done.output, value["plant"]["model"]
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-def test_units_assumed_in_the_configuration_replace_units_that_an_fmu_does_not_declare(version, tmp_path):
-    path = rewritten(version, tmp_path / "u.fmu", *UNITLESS)
-    with pytest.raises(PlantError, match=r"declares no unit.*assume_unit: {force: N}"):
-        FmuHost(spec(path))
-    assumed, stated = FmuHost(spec(path, assume_unit=UNITS)), FmuHost(spec(build(version)))
-    np.testing.assert_array_equal(assumed.reset()[0], stated.reset()[0])
-    assumed.close()
-    stated.close()
 
 
 SECTION: dict[str, Any] = {"type": "fmu", "path": "x.fmu", "force": ["f"], "length": ["q"], "rate": ["v"]}

@@ -121,9 +121,9 @@ class DrivesEnd:
             self.converse(frame)
         return self.messages[: self._count]
 
-    def announce(self, leg: int, state: int, fault: int = 0) -> tuple[Frame, ...]:
+    def announce(self, leg: int, state: int) -> tuple[Frame, ...]:
         """Frames that a drive sends at its heartbeat before it is set up."""
-        count = self.report(self.record, leg, state, fault, -1, 0, 1, self._frames)
+        count = self.report(self.record, leg, state, 0, -1, 0, 1, self._frames)
         return sent_frames(self._frames[:count])
 
     def restart(self, legs: Sequence[int]) -> None:

@@ -109,7 +109,5 @@ def weight(masses: Sequence[tuple[float, Array]], truth: Truth, gravity: Array) 
     wrench = np.zeros(6)
     for mass, position in masses:
         force = mass * gravity
-        wrench[:3] += force
-        (x, y, z), (X, Y, Z) = (truth.R @ position).tolist(), force.tolist()
-        wrench[3:] += (y * Z - z * Y, z * X - x * Z, x * Y - y * X)
+        wrench += (*force, *np.cross(truth.R @ position, force))
     return wrench

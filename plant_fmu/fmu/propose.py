@@ -67,6 +67,12 @@ def propose(path: Path) -> Proposal:
             mapped[key] = tuple(v.name for v in found)
             if (unit := role[1]) and any(stated_unit(v) is None for v in found):
                 unstated[key] = unit
+    clocks = any(v.type == "Clock" for v in description.modelVariables)
+    obstacle = "it has clocks, as a CAN FMU: host it by `hil bus`, or as drives by plant.drives.fmu" * clocks
+    try:
+        library(description, members, path)
+    except PlantError as error:
+        obstacle = str(error).removeprefix(f"{path}: ")
     return Proposal(
         tool=description.generationTool or "unknown tool",
         fmi=description.fmiVersion,
@@ -74,7 +80,7 @@ def propose(path: Path) -> Proposal:
         mapped=mapped,
         unstated=unstated,
         parameters=tuple(v.name for v in description.modelVariables if v.causality == "parameter"),
-        obstacle=_obstacle(description, members, path),
+        obstacle=obstacle,
         variables=tuple(
             f"{v.causality:7} {v.name}{'' if not v.shape else list(v.shape)}  {v.type}, "
             f"{stated_unit(v) or 'no unit stated'}"
@@ -82,16 +88,6 @@ def propose(path: Path) -> Proposal:
             if v.causality in {"input", "output"}
         ),
     )
-
-
-def _obstacle(description: Any, members: Sequence[str], path: Path) -> str:
-    try:
-        library(description, members, path)
-    except PlantError as error:
-        return str(error).removeprefix(f"{path}: ")
-    if any(v.type == "Clock" for v in description.modelVariables):
-        return "it has clocks, as a CAN FMU: host it by `hil bus`, or as drives by plant.drives.fmu"
-    return ""
 
 
 def _groups_of_six(variables: Sequence[Any]) -> list[list[Any]]:

@@ -157,17 +157,13 @@ class Reading:
             while len(self._read) > 1 and self._read[1][0] <= t_ns - longest:
                 self._read.popleft()
             for leg, late_ns in enumerate(present.late_ns):
-                if late_ns:
-                    length[leg], rate[leg] = self._at(t_ns - late_ns, leg)
+                if late_ns:  # extrapolated from the reading before
+                    before = [read for read in self._read if read[0] <= t_ns - late_ns]
+                    at_ns, l, dl = before[-1] if before else self._read[0]
+                    dt = max(0, t_ns - late_ns - at_ns) * 1e-9
+                    length[leg], rate[leg] = l[leg] + dl[leg] * dt, dl[leg]
         for leg, sigma_m, own in present.noise:
             length[leg] += sigma_m * own.generator.standard_normal()
-
-    def _at(self, t_ns: int, leg: int) -> tuple[float, float]:
-        """Length, m, and rate, m/s, of an encoder at an instant, extrapolated from the reading before."""
-        before = [read for read in self._read if read[0] <= t_ns]
-        at_ns, length, rate = before[-1] if before else self._read[0]
-        dt = max(0, t_ns - at_ns) * 1e-9
-        return float(length[leg] + rate[leg] * dt), float(rate[leg])
 
 
 class Snapshot(NamedTuple):

@@ -111,23 +111,21 @@ def find_compiler(*, zig: bool = False) -> Compiler:
     )
 
 
-class Model(NamedTuple):
-    """What an FMU contains: its variables, and whether it has drives and a bus terminal (FMI 3.0 only)."""
-
-    rows: tuple[Variable, ...] = VARIABLES
-    bus: bool = False
+Bus = Mapping[str, Any] | None
+"""Start values of the CAN FMU of drives and plant, see `can`; None for the plant alone."""
 
 
-PLANT = Model()
+def _rows(bus: Bus) -> tuple[Variable, ...]:
+    return VARIABLES if bus is None else can.can_rows(bus)
 
 
-def _source_files(version: FmiVersion, model: Model = PLANT) -> dict[str, bytes]:
-    names = (*_COMMON, f"fmi{version[0]}.c", *(_DRIVES if model.bus else ()))
+def _source_files(version: FmiVersion, bus: Bus = None) -> dict[str, bytes]:
+    names = (*_COMMON, f"fmi{version[0]}.c", *(_DRIVES if bus is not None else ()))
     files = {name: (SOURCES / name).read_bytes() for name in names}
-    defines = f"#define LS_BUS\n#define BUS_BYTES {can.BUS_BYTES}\n" if model.bus else ""
-    files["model.h"] = header(model.rows, defines).encode()
-    files["model.c"] = tables("", model.rows).encode()
-    if model.bus:
+    defines = f"#define LS_BUS\n#define BUS_BYTES {can.BUS_BYTES}\n" if bus is not None else ""
+    files["model.h"] = header(_rows(bus), defines).encode()
+    files["model.c"] = tables("", _rows(bus)).encode()
+    if bus is not None:
         files["legs.h"] = can.legs_header().encode()
     return files
 
@@ -139,10 +137,10 @@ def _digest(parts: dict[str, bytes]) -> str:
     return total.hexdigest()
 
 
-def _attached_files(version: FmiVersion, model: Model) -> dict[str, bytes]:
+def _attached_files(version: FmiVersion, bus: Bus) -> dict[str, bytes]:
     """Contents by place in the FMU; the CAN FMU has other variables than page and reference results."""
     paths = {path.relative_to(ATTACHED).as_posix(): path for path in ATTACHED.rglob("*") if path.is_file()}
-    names = [name for name in sorted(paths) if name in _OF_BOTH or (name in _OF_BUS) == model.bus]
+    names = [name for name in sorted(paths) if name in _OF_BOTH or (name in _OF_BUS) == (bus is not None)]
     return {(_ICON[version] if name == "icon.png" else name): paths[name].read_bytes() for name in names}
 
 
@@ -152,11 +150,11 @@ def shipped(version: FmiVersion) -> Path | None:
     return path if path.is_file() else None
 
 
-def token(version: FmiVersion, model: Model = PLANT) -> str:
+def token(version: FmiVersion, bus: Bus = None) -> str:
     """Instantiation token of the FMU: a hash of its sources and model description."""
-    files = _source_files(version, model)
+    files = _source_files(version, bus)
     units = [name for name in files if name.endswith(".c")]
-    xml = model_description(version, "", units, model.rows, bus=model.bus)
+    xml = model_description(version, "", units, _rows(bus), bus=bus is not None)
     digest = _digest({**files, "modelDescription.xml": xml})
     return f"{{{uuid.uuid5(uuid.NAMESPACE_OID, digest)}}}"
 
@@ -184,18 +182,18 @@ def _compile(compiler: Compiler, key: str, folder: Path, units: list[str]) -> by
 def _pack(
     path: Path,
     version: FmiVersion,
-    model: Model,
+    bus: Bus,
     binaries: dict[str, bytes],
     sources: dict[str, bytes],
     guid: str,
 ) -> None:
     units = sorted(name for name in sources if name.endswith(".c"))
-    description = model_description(version, guid, units, model.rows, bus=model.bus)
+    description = model_description(version, guid, units, _rows(bus), bus=bus is not None)
     members = {"modelDescription.xml": description}
     if version == "3.0":
         members["sources/buildDescription.xml"] = build_description(units)
     members |= {f"sources/{name}": data for name, data in sorted(sources.items())}
-    members |= _attached_files(version, model)
+    members |= _attached_files(version, bus)
     for key, data in binaries.items():
         target = TARGETS[key]
         system, processor = key.split("-")
@@ -216,7 +214,7 @@ def build(
     out: Path | None = None,
     *,
     release: bool = False,
-    bus: Mapping[str, Any] | None = None,
+    bus: Bus = None,
 ) -> Path:
     """Build our plant's FMU, or take it from the wheel or the cache; return its path.
 
@@ -227,8 +225,7 @@ def build(
     Raises PlantError without a compiler, on a failed compilation, and if cache or copy cannot be written.
     """
     ready = shipped(fmi_version) if bus is None and not release else None
-    model = PLANT if bus is None else Model(can.can_rows(bus), bus=True)
-    fmu = ready or _built(fmi_version, model, release=release)
+    fmu = ready or _built(fmi_version, bus, release=release)
     if out is None:
         return fmu
     try:
@@ -239,15 +236,15 @@ def build(
     return out
 
 
-def _built(fmi_version: FmiVersion, model: Model, *, release: bool) -> Path:
+def _built(fmi_version: FmiVersion, bus: Bus, *, release: bool) -> Path:
     """Path of the FMU in the cache, where it is built if it is missing."""
     keys = list(TARGETS) if release else [this_machine()]
     compiler = find_compiler(zig=release)
-    guid = token(fmi_version, model)
-    sources = _source_files(fmi_version, model)
-    sources["model.c"] = tables(guid, model.rows).encode()
+    guid = token(fmi_version, bus)
+    sources = _source_files(fmi_version, bus)
+    sources["model.c"] = tables(guid, _rows(bus)).encode()
     recipe = repr((compiler.identity, FLAGS, keys, [TARGETS[k] for k in keys], fmi_version))
-    attached = _attached_files(fmi_version, model)
+    attached = _attached_files(fmi_version, bus)
     digest = _digest({**sources, **attached, "recipe": recipe.encode() + Path(__file__).read_bytes()})
     cached = cache_folder() / "fmu" / digest[:24] / f"{MODEL_IDENTIFIER}_fmi{fmi_version[0]}.fmu"
     try:
@@ -259,7 +256,7 @@ def _built(fmi_version: FmiVersion, model: Model, *, release: bool) -> Path:
                     (folder / name).write_bytes(data)
                 units = sorted(name for name in sources if name.endswith(".c"))
                 binaries = {key: _compile(compiler, key, folder, units) for key in keys}
-                _pack(folder / cached.name, fmi_version, model, binaries, sources, guid)
+                _pack(folder / cached.name, fmi_version, bus, binaries, sources, guid)
                 (folder / cached.name).replace(cached)
     except OSError as error:
         raise PlantError(

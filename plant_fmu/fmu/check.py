@@ -47,11 +47,6 @@ class FmuSpec(FmuPlant):
     rod_force: str = ""
     """Output with the forces between drives and rods; empty if unknown."""
 
-    @property
-    def step_s(self) -> float:
-        """Internal step, s: all communication steps are multiples of it."""
-        return self.step_us / 1e6
-
 
 def fmu_spec(settings: FmuPlant, folder: Path) -> FmuSpec:
     """FMU settings for hosting; a relative path starts at `folder`, that of the configuration file."""

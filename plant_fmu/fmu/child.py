@@ -44,7 +44,7 @@ class ChildHost:
     def __init__(self, spec: FmuSpec) -> None:
         """Start the child; load and initialise the FMU there. Raises PlantError with the child's reason."""
         self.spec = spec
-        self.internal_step_s = spec.step_s
+        self.internal_step_s = spec.step_us / 1e6
         self._truth: Truth | None = None
         self._cannot_reset = ""
         # The child unpacks here; the process that ends last removes it.

@@ -60,7 +60,7 @@ class FmuHost(PointedPlant):
     def __init__(self, spec: FmuSpec) -> None:
         """Unpack, check, load, instantiate and initialise the FMU. Raises PlantError."""
         self.spec = spec
-        self.internal_step_s = spec.step_s
+        self.internal_step_s = spec.step_us / 1e6
         self._fmu: Any = None
         self._record = np.zeros((), fmu_call.FMU)
         self._initialised = False

@@ -36,22 +36,14 @@ typedef struct {
 
 #include "can_node.h"
 
-static uint8_t crc8(unsigned id, const uint8_t* data, int size) {
-    uint8_t r = 0xFF;
+static unsigned crc(unsigned id, const uint8_t* data, int size, int bits) {
+    const unsigned top = 1u << (bits - 1), mask = 2 * top - 1, polynomial = bits == 8 ? 0x1D : 0x5935;
+    unsigned r = mask;
     for (int k = -2; k < size; k++) {
-        r ^= k == -2 ? id & 0xFF : k == -1 ? id >> 8 : data[k];
-        for (int bit = 0; bit < 8; bit++) r = (uint8_t)(r & 0x80 ? r << 1 ^ 0x1D : r << 1);
+        r ^= (k == -2 ? id & 0xFF : k == -1 ? id >> 8 : data[k]) << (bits - 8);
+        for (int bit = 0; bit < 8; bit++) r = (r & top ? r << 1 ^ polynomial : r << 1) & mask;
     }
-    return r ^ 0xFF;
-}
-
-static uint16_t crc16(unsigned id, const uint8_t* data, int size) {
-    uint16_t r = 0xFFFF;
-    for (int k = -2; k < size; k++) {
-        r ^= (uint16_t)((k == -2 ? id & 0xFF : k == -1 ? id >> 8 : data[k]) << 8);
-        for (int bit = 0; bit < 8; bit++) r = (uint16_t)(r & 0x8000 ? r << 1 ^ 0x5935 : r << 1);
-    }
-    return r;
+    return bits == 8 ? r ^ 0xFF : r;
 }
 
 static void number(uint8_t* at, int64_t value, int bytes) {
@@ -82,7 +74,7 @@ static void feedback(Node* n, int k) {
     number(data + 4, scaled(d->rate, 1e-7, INT32_MAX), 4);
     number(data + 8, scaled(100 * d->force / RATED_N, 0.00625, INT16_MAX), 2);
     data[10] = (uint8_t)(d->state << 4 | (n->cycle & 0xF));
-    data[11] = crc8(id, data, 11);
+    data[11] = (uint8_t)crc(id, data, 11, 8);
     transmit(n, id, data, 12, true);
 }
 
@@ -90,8 +82,8 @@ static void status(Node* n, int k) {
     const Drive* d = &n->drives[k];
     unsigned id = STATUS_ID + (unsigned)leg_of(n, k);
     uint8_t data[5] = {d->state, d->fault};
-    number(data + 2, d->configured ? crc16(CONFIG_ID + (unsigned)leg_of(n, k), d->setup, 11) : 0, 2);
-    data[4] = crc8(id, data, 4);
+    number(data + 2, d->configured ? crc(CONFIG_ID + (unsigned)leg_of(n, k), d->setup, 11, 16) : 0, 2);
+    data[4] = (uint8_t)crc(id, data, 4, 8);
     transmit(n, id, data, 5, false);
 }
 
@@ -121,7 +113,7 @@ static void configure(Node* n, Drive* d, int leg, const uint8_t* data) {
 }
 
 static void hear(Node* n, unsigned id, const uint8_t* data, int size) {
-    if (id == SYNC_ID && size == 2 && data[1] == crc8(id, data, 1) && data[0] != n->cycle) {
+    if (id == SYNC_ID && size == 2 && data[1] == crc(id, data, 1, 8) && data[0] != n->cycle) {
         n->cycle = data[0], n->answer = n->now + ANSWER_NS;
         for (int k = 0; k < DRIVES; k++) {
             Drive* d = &n->drives[k];
@@ -132,9 +124,9 @@ static void hear(Node* n, unsigned id, const uint8_t* data, int size) {
         Drive* d = &n->drives[k];
         int leg = leg_of(n, k);
         if (id == ESTOP_ID && d->fault != 2) enter(d, FAULT, 2);
-        if (id == CONFIG_ID + (unsigned)leg && size == 8 && data[7] == crc8(id, data, 7))
+        if (id == CONFIG_ID + (unsigned)leg && size == 8 && data[7] == crc(id, data, 7, 8))
             configure(n, d, leg, data);
-        if (id == COMMAND_ID && size == 32 && (data[26] | data[27] << 8) == crc16(id, data, 26)) {
+        if (id == COMMAND_ID && size == 32 && (unsigned)(data[26] | data[27] << 8) == crc(id, data, 26, 16)) {
             int32_t mN;
             memcpy(&mN, data + 4 * leg, 4);
             if (data[24] == n->cycle) obey(n, d, data[25], mN * 0.001);

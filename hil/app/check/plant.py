@@ -30,7 +30,7 @@ def plant(r: Report) -> None:
     _, hosted = build_nodes(c)
     try:
         s.probe = answer = probe(hosted, PUSH * c.limits.force_N, s.period_s)
-        s.notes, s.unfit_step = hosted.notes(), face.unfit_step(spec.step_s)
+        s.notes, s.unfit_step = hosted.notes(), face.unfit_step(spec.step_us / 1e6)
     finally:
         hosted.close()
     s.tool = shown(description.generationTool or "an unknown tool")

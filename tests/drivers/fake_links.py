@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 
 from drivers.arrays import Rows
@@ -35,9 +36,9 @@ class FakeLink(Link):
 
     off, overflow, knows_ends, virtual = False, 0, True, True
 
-    def __init__(self, clock: Clock, *looks: list[Received]) -> None:
-        self.clock, self.takes, self.looks = clock, 64, list(looks)
-        self.state, self.end_ns, self.file, self.quiet = BusState.UNKNOWN, -1, -1, True
+    def __init__(self, clock: Clock, *looks: list[Received], ends_ns: Sequence[int] = (7, 8)) -> None:
+        self.clock, self.takes, self.looks, self.ends_ns = clock, 64, list(looks), ends_ns
+        self.state, self.end_ns, self.file = BusState.UNKNOWN, -1, -1
         self.sent, self.calls = list[Frame](), list[str]()
         self.blocked = list[tuple[int, set[int]]]()
         self.fails: Exception | None = None
@@ -70,17 +71,14 @@ class FakeLink(Link):
     def fileno(self) -> int:
         return self.file
 
-    def arm(self) -> bool:
-        return self.quiet
-
     def died(self) -> None:
         self._call("died")
 
     def flush_tx(self) -> None:
         self._call("flush")
 
-    def sent_ns(self) -> list[int]:
-        return [7, 8]
+    def sent_ns(self) -> Sequence[int]:
+        return self.ends_ns
 
     def close(self) -> None:
         self._call("close")

@@ -22,7 +22,7 @@ from drivers.signals import LEGS, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue, Remembered
-from hil.contracts.drives_end import memory_of
+from hil.contracts.drives_end import memory_of, plain
 from hil.contracts.messages import Sync
 from plant_fmu.drives.codec import DrivesEnd
 
@@ -228,6 +228,15 @@ MOTORS = motors(GEAR)
 
 SINCE_NS = 1_000
 LATE = SINCE_NS - 1
+
+
+def sent_to(protocol: Motors, *frames: Frame, memory: Any = None) -> tuple[Remembered, list[Any]]:
+    """Memory of drives after these frames, and the messages from each of them."""
+    memory, found = memory or protocol.power_up(), []
+    for frame in frames:
+        memory, messages = protocol.parse(memory, frame)
+        found.append(plain(messages))
+    return memory, found
 
 
 def begun(protocol: Motors, **fields: Any) -> Remembered:

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.cia402.states import State, commanded, controlword
 from drivers.config import BusSettings, DriveSettings
-from drivers.errors import ConfigurationError, ProtocolError
+from drivers.errors import ConfigurationError
 from drivers.protocol import (
     BUS,
     ERROR,
@@ -140,12 +140,6 @@ def test_controller_heartbeat_is_sent_four_times_per_watchdog_time(watchdog_s, r
         for stop in (False, True):
             found = [P.command(start, Command(mode, np.zeros(6), stop=stop), n)[1][6:] for n in range(60)]
             assert found == [() if n % beat else (Frame(0x77F, b"\5"),) for n in range(60)]
-
-
-def test_largest_allowed_force_is_that_of_the_weakest_leg():
-    unlike = ByValue(made(NODES, UNLIKE_GEAR, force_limit_N=100.0))
-    with pytest.raises(ProtocolError, match=r"up to 18529\.3 N"):
-        unlike.command(unlike.start(SETUP), Command(RUN, np.full(6, 1e5)), 1)
 
 
 RATE = (0.2, -0.2, 0.2, 0.0, -0.2, 0.05)

@@ -12,10 +12,11 @@ from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import ALWAYS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
-from drivers.tick_columns import Record, new_record
+from drivers.tick_columns import new_record
 from hil.contracts.drives_end import answers, reports
 from hil.contracts.messages import Configure, Status, Sync
 from tests.drivers.legs_frames import command_frames, opening, resealed
+from tests.drivers.motor_families import last_tick
 
 NODES = (127, 20, 30, 40, 50, 1)
 P = {layout: LegsProtocol(layout, NODES, 32_000.0) for layout in ("classic", "fd", "ideal")}
@@ -35,16 +36,6 @@ def sent(layout: str, counter: int = NUMBER, **changes: Any) -> list[Frame]:
     """Feedbacks of all legs to the SYNC of a tick, each with different numbers."""
     values: dict[str, Any] = {"length": LENGTH, "rate": RATE, "force": FORCE, "state": RUN} | changes
     return [frame for _, frame in answers(P[layout], Sync(counter & 0xF), *values.values())]
-
-
-def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
-    """Record of the tick before, with different numbers for each leg."""
-    last = new_record()
-    last["tick"], last["age"] = number, age
-    last["length"], last["rate"] = 2.1 + 0.1 * np.arange(6), 0.01 + 0.01 * np.arange(6)
-    last["drive_force"], last["drive_fault"] = 11.0 + np.arange(6), np.arange(6)
-    last["drive_state"] = [0, 1, 2, 3, 4, 1]
-    return last
 
 
 def taken(

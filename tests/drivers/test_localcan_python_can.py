@@ -1,12 +1,9 @@
-"""localcan under python-can: its bus, logger and viewer."""
+"""localcan under python-can: its bus and logger."""
 
 from __future__ import annotations
 
 import asyncio
 import errno
-import os
-import pty
-import select
 import signal
 import subprocess
 import sys
@@ -121,21 +118,3 @@ def test_logger_of_python_can_records_a_localcan_bus(join, tmp_path):
         found = [(m.arbitration_id, bytes(m.data)) for m in log]
     assert found == [(0x100 + i, bytes([i] * 12)) for i in range(50)]
     assert len(node._wire.present()) == 1
-
-
-def test_viewer_of_python_can_shows_frames_of_a_localcan_bus(join, monkeypatch):
-    node, screen = join(), b""
-    for name, value in {"TERM": "xterm", "LINES": "40", "COLUMNS": "120"}.items():
-        monkeypatch.setenv(name, value)
-    master, slave = pty.openpty()
-    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), slave)
-    with os.fdopen(master, "r+b", buffering=0) as terminal, on_the_bus(node, "can.viewer", **pipes) as viewer:
-        os.close(slave)
-        deadline = time.monotonic() + 10
-        while b"5A5" not in screen and time.monotonic() < deadline:
-            node.send(sent_array([Frame(0x5A5, b"\xc0\xff\xee")]))
-            if select.select([master], [], [], 0.05)[0]:
-                screen += os.read(master, 65536)
-        terminal.write(b"q")
-        assert viewer.wait(10) == 0
-    assert b"5A5" in screen

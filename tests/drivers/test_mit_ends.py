@@ -13,9 +13,9 @@ from drivers.mit.protocol import CLEAR, DISABLE, ENABLE, ZERO
 from drivers.protocol import BUS, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
-from hil.contracts.drives_end import command, plain
+from hil.contracts.drives_end import command
 from hil.contracts.messages import Answer, Configure, Rejected, Sync
-from tests.drivers.motor_families import MIT_NODES, ROBSTRIDE_NODES, UNLIKE, Heard, mit, robstride
+from tests.drivers.motor_families import MIT_NODES, ROBSTRIDE_NODES, UNLIKE, Heard, mit, robstride, sent_to
 
 VARIANTS: dict[str, Any] = {name: mit(name, UNLIKE) for name in ("mini_cheetah", "cubemars", "damiao")}
 DAMIAO = VARIANTS["damiao"]
@@ -52,11 +52,7 @@ def to(name: str, what: str, leg: int = 3, torque_Nm: float = 0.0) -> Frame:
 
 
 def parsed(name: str, *frames: Frame, memory: Remembered | None = None) -> tuple[Remembered, list[Any]]:
-    memory, found = memory or FOUR[name].power_up(), []
-    for frame in frames:
-        memory, messages = FOUR[name].parse(memory, frame)
-        found.append(plain(messages))
-    return memory, found
+    return sent_to(FOUR[name], *frames, memory=memory)
 
 
 @every_one

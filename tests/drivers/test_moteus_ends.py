@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import partial
 from math import inf, nan
 from typing import Any
 
@@ -12,10 +13,9 @@ import pytest
 from drivers.moteus import READ, REPLY, STOP, WRITE, pad, torque_command
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
-from hil.contracts.by_value import Remembered
-from hil.contracts.drives_end import command, plain
+from hil.contracts.drives_end import command
 from hil.contracts.messages import Configure, Rejected, Sync
-from tests.drivers.motor_families import UNLIKE, Heard, MoteusProtocol, asked, registers, replied
+from tests.drivers.motor_families import UNLIKE, Heard, MoteusProtocol, asked, registers, replied, sent_to
 
 NODES = (9, 2, 3, 4, 5, 126)
 P = MoteusProtocol(NODES, 1, Reaction.DAMP, 2.0, UNLIKE)
@@ -28,12 +28,7 @@ def to(leg: int, data: bytes) -> Frame:
     return Frame(0x8100 | NODES[leg], pad(data), ALL)
 
 
-def parsed(*frames: Frame) -> tuple[Remembered, list[Any]]:
-    memory, found = P.power_up(), []
-    for frame in frames:
-        memory, messages = P.parse(memory, frame)
-        found.append(plain(messages))
-    return memory, found
+parsed = partial(sent_to, P)
 
 
 def written(**values: float) -> Frame:

@@ -11,7 +11,6 @@ import pytest
 
 from drivers.frame_array import received_array
 from drivers.moteus import pad
-from drivers.motor_kernels import wire_state
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Received
 from drivers.signals import NEVER, DriveMode, DriveState, Foreign
 from hil.contracts.loopback import at_tick
@@ -271,22 +270,6 @@ def test_drive_that_ran_and_is_off_while_run_is_commanded_counts_as_restarted():
     tick, dialogue = measured(P, reply(0), mode=int(DriveMode.RUN), ran=ran)
     assert tick["drive_state"].tolist() == [BOOT if each else READY for each in ran]
     assert dialogue.ran == ran, "drives count as restarted until RUN is requested again"
-
-
-@pytest.mark.parametrize("mode", DriveMode)
-def test_state_of_a_drive_follows_from_its_report_and_the_commanded_mode(mode):
-    for ran in (False, True):
-        for set_up in (False, True):
-            for power in (RUN, FAULT):
-                assert wire_state(power, mode, set_up=set_up, ran=ran) == power
-        assert wire_state(OFF, mode, set_up=False, ran=ran) == BOOT
-        disabled = {
-            DriveMode.OFF: OFF,
-            DriveMode.RESET: OFF,
-            DriveMode.READY: READY,
-            DriveMode.RUN: (READY, BOOT)[ran],
-        }
-        assert wire_state(OFF, mode, set_up=True, ran=ran) == disabled[mode]
 
 
 @pytest.mark.parametrize(("age", "done"), [(19, 6), (20, 0)])

@@ -15,7 +15,7 @@ from drivers.protocol import DriveSetup, Frame
 from drivers.signals import Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
-from tests.drivers.motor_families import MIT_NODES, MOTORS, UNLIKE, begun, measured, mit, moteus
+from tests.drivers.motor_families import MIT_NODES, UNLIKE, begun, measured, mit, moteus
 
 OFF, RUN, FAULT, BOOT = DriveState.OFF, DriveState.RUN, DriveState.FAULT, DriveState.BOOT
 P, DAMIAO = moteus(UNLIKE, 2.0), mit("damiao", UNLIKE)
@@ -135,34 +135,6 @@ def test_set_up_report_shows_the_missing_answer_register_or_state_of_each_drive(
         "",
     )
     assert DAMIAO.legs_set_up(dialogue) == (False,) * 5 + (True,)
-
-
-# what the families are
-
-
-TRAITS = {
-    # command delay in ticks, set-up frames per tick, stop latches, identifiers shared, watchdog, power, reaction
-    "mini_cheetah": (1, 0, False, True, False, "never", Reaction.BRAKE),
-    "cubemars": (1, 0, False, True, False, "never", Reaction.BRAKE),
-    "damiao": (1, 1, False, True, True, "feedback", Reaction.BRAKE),
-    "robstride": (1, 2, False, True, False, "feedback", Reaction.BRAKE),
-    "odrive": (0, 0, True, False, True, "heartbeat", Reaction.BRAKE),
-    "moteus": (1, 0, False, False, True, "feedback", Reaction.DAMP),
-}
-
-
-@pytest.mark.parametrize("name", MOTORS)
-def test_timing_watchdog_and_reaction_traits_of_each_drive_family_equal_the_expected_table(name):
-    t = MOTORS[name].traits
-    found = t.command_delay_ticks, t.set_up_frames, t.stop_latches, t.shares_identifiers, t.has_watchdog
-    assert (*found, t.power_told, *t.reactions) == TRAITS[name]
-    assert {t.force_on_brakes, t.answers_name_sync, t.latches_together} == {False}
-    assert (t.unasked_s, t.database, t.reset_ticks) == (0.0, None, 3)
-    assert "brake" in t.dangers[0]
-    assert len(t.dangers) == (1 if name == "damiao" else 2), "its watchdog is set from here"
-    if t.shares_identifiers:
-        assert t.feedback_ids == frozenset(range(6))
-        assert [MOTORS[name].awaited(each) for each in t.cyclic_frames] == [-1] * 6 + list(range(6))
 
 
 @pytest.mark.parametrize("leg", range(6))

@@ -79,14 +79,6 @@ def test_answer_of_a_drive_with_a_lost_encoder_gives_no_length_in_any_state(name
         assert all(each.feedback and not each.broken for each in heard)
 
 
-@pytest.mark.parametrize("end", [-1.0, 1.0])
-@pytest.mark.parametrize("name", ["cubemars", "damiao", "robstride"])
-def test_position_beyond_either_end_of_its_field_gives_no_length(name, end):
-    past, inside = (1.75 + end * 0.1 * turns / (2 * np.pi) for turns in (96.0, 95.0))
-    assert [MOTORS[name].hear(frame).motion for frame in sent(name, past)] == [None] * LEGS
-    assert all(MOTORS[name].hear(frame).motion is not None for frame in sent(name, inside))
-
-
 @pytest.mark.parametrize("place", [0.5, nan, inf, -inf])
 @pytest.mark.parametrize("speed", [0.25, nan, inf, -inf])
 def test_encoder_estimate_of_an_odrive_axis_is_used_only_if_both_values_are_finite(place, speed):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,14 @@ import pytest
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Said
+from drivers.protocol import REMOTE, Frame, Said
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
-from hil.contracts.drives_end import command, plain, reports
+from hil.contracts.drives_end import command, reports
 from hil.contracts.loopback import SETUP
-from hil.contracts.messages import Configure, DeviceMessage, EmergencyStop, Rejected, Status
+from hil.contracts.messages import Configure, EmergencyStop, Rejected, Status
 from hil.contracts.trouble import TroubleContract
+from tests.drivers import motor_families as families
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
 from tests.drivers.motor_families import UNIT, UNLIKE, ODriveProtocol, odrive
 
@@ -113,29 +115,7 @@ def torque(value: float, size: int = 8) -> Frame:
 TORQUE_CONTROL = to(0x0B, struct.pack("<II", 1, 1))
 
 
-def sent_to(*frames: Frame) -> tuple[Remembered, list[tuple[DeviceMessage, ...]]]:
-    """Memory of an axis after these frames, and the messages from each of them."""
-    memory, found = AXES.power_up(), []
-    for frame in frames:
-        memory, messages = AXES.parse(memory, frame)
-        found.append(plain(messages))
-    return memory, found
-
-
-@pytest.mark.parametrize("flags", [EXTENDED, FD, ERROR, BUS, 3 * BUS])
-def test_frame_with_wrong_flags_or_to_another_node_is_ignored_by_an_odrive_axis(flags):
-    enabled = AXES.power_up()._replace(enabled=(True,) * 6)
-    for frame in (torque(0.5), state(1), to(0x02), to(0x09, flags=REMOTE), to(0x06, flags=REMOTE), to(0x0D)):
-        assert AXES.parse(enabled, frame._replace(flags=frame.flags | flags)) == (enabled, ())
-        assert AXES.hear(frame._replace(flags=frame.flags | flags)) is None
-    for kind, data in ((0x01, bytes(8)), (0x09, bytes(8)), (0x06, b"\5" + bytes(7))):
-        assert AXES.hear(to(kind, data, flags)) is None
-        assert AXES.identity(to(kind, data, flags)) is None
-    for kind in range(32):
-        frame = Frame(8 << 5 | kind, bytes(8))
-        assert AXES.parse(enabled, frame) == (enabled, ())
-        assert AXES.hear(frame) is AXES.identity(frame) is None
-        assert AXES.addressed(frame) == ()
+sent_to = partial(families.sent_to, AXES)
 
 
 def test_unknown_frame_to_an_odrive_axis_is_refused_or_ignored():

@@ -65,28 +65,6 @@ def test_compiled_kernel_reads_its_arguments_and_fills_its_output_arrays():
     assert given["rows"].tolist() == [[3.0, 4.0, 5.0], [6.0, 7.0, 8.0]]
 
 
-READ_ONLY = np.zeros(4)
-READ_ONLY.flags.writeable = False
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("vector", np.arange(4.0, dtype=np.float32)), ("vector", np.arange(4)), ("vector", np.arange(8.0)[::2]),
-        ("vector", np.arange(4.0).astype(">f8")), ("vector", np.arange(4.0).reshape(2, 2)),
-        ("vector", np.array(1.0)), ("vector", [0.0, 1.0, 2.0, 3.0]), ("vector", None),
-        ("matrix", np.asfortranarray(np.arange(6.0).reshape(2, 3))), ("matrix", np.arange(4.0)),
-        ("integers", np.arange(4, dtype=np.int32)), ("integers", np.arange(4).astype(">i8")),
-        ("flags", np.zeros(4, np.uint8)), ("out", READ_ONLY), ("rows", np.zeros((3, 2)).T), ("marks", np.zeros(4)),
-    ],
-)  # fmt: skip
-def test_kernel_refuses_an_argument_of_wrong_type_and_leaves_its_outputs_unchanged(name, value):
-    given = arguments(**{name: value})
-    with pytest.raises(TypeError):
-        look(given)
-    assert not given["out"].any()
-
-
 @kernel(OUT_VECTOR)
 def _change(vector: Any) -> None:
     vector[0] = 1.0

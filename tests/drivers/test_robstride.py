@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,11 @@ import pytest
 from drivers.frame_array import received_array
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received, Said
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
-from hil.contracts.by_value import Remembered
-from hil.contracts.drives_end import command, plain
+from hil.contracts.drives_end import command
 from hil.contracts.loopback import at_tick
 from hil.contracts.messages import Answer, Configure, Rejected, Sync
 from tests.drivers.motor_families import ROBSTRIDE_NODES as NODES
-from tests.drivers.motor_families import UNLIKE, Heard, robstride
+from tests.drivers.motor_families import UNLIKE, Heard, robstride, sent_to
 
 P = robstride(UNLIKE)
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
@@ -33,12 +33,7 @@ def parameter(number: int, mode: int = 0) -> bytes:
     return struct.pack("<HxxI", number, mode)
 
 
-def parsed(*frames: Frame) -> tuple[Remembered, list[Any]]:
-    memory, found = P.power_up(), []
-    for frame in frames:
-        memory, messages = P.parse(memory, frame)
-        found.append(plain(messages))
-    return memory, found
+parsed = partial(sent_to, P)
 
 
 def test_robstride_drive_refuses_a_short_frame_and_ignores_an_unknown_frame():

@@ -12,11 +12,9 @@ from pydantic import ValidationError
 
 from drivers import build_protocol
 from drivers.can.bus import Bus
-from drivers.can.link import Link
-from drivers.clock import Clock
 from drivers.config import BusSettings, DriveSettings, TransmissionSettings
 from drivers.errors import ConfigurationError
-from drivers.frame_array import NO_FRAMES, received_array, sent_array, sent_frames
+from drivers.frame_array import NO_FRAMES, received_array, sent_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BUS, DriveSetup, Frame, Received, off_bus
 from drivers.sensing.settings import ImuSettings, SensorSettings
@@ -28,6 +26,7 @@ from hil.contracts.loopback import PERIOD_NS, Ends, shapes
 from hil.contracts.messages import Answer, Configure, Sync, hear
 from plant_fmu.drives import drives_end
 from tests.drivers.cia402_drives import holding
+from tests.drivers.fake_links import FakeLink, ManualClock
 from tests.drivers.legs_frames import command_frames, opening, parse
 from tests.sensor_samples import Readings, encode
 from tests.sensor_samples import decode as decode_samples
@@ -214,53 +213,16 @@ def test_frames_exchanged_with_running_drives_on_each_bus_are_those_of_the_bus_b
 # the bus object
 
 
-class Still(Clock):
-    t_ns = 0
-
-    def now(self) -> int:
-        self.t_ns += 1_000
-        return self.t_ns
-
-
-class FakeLink(Link):
-    off, overflow, knows_ends, virtual = False, 3, False, False
-
-    def __init__(self, clock, *out_ns):
-        self.clock, self.sent, self.inbox, self.blocked = clock, [], [], []
-        self.out_ns = out_ns
-
-    def send(self, frames):
-        self.sent += sent_frames(frames)
-        return len(frames) - (self.off is True)
-
-    def sent_ns(self):
-        return self.out_ns
-
-    def receive(self):
-        found, self.inbox = self.inbox, []
-        return received_array(found)
-
-    def block(self, deadline_ns, missing):
-        self.blocked.append(set(missing))
-
-
-def fakes(count: int) -> list[Any]:
-    return [FakeLink(Still()) for _ in range(count)]
-
-
 def test_skew_between_buses_is_measured_at_their_first_frames_of_a_period():
-    clock = Still()
     for times, skew_ns in (
         (((75_000, 900_000), (151_000,), (80_000,)), 76_000),
         (((75_000,), (), (76_000,)), 1_000),
         (((), ()), 0),
     ):
-        assert Bus([FakeLink(clock, *out_ns) for out_ns in times]).skew_ns() == skew_ns
-    links = fakes(2)
-    bus = Bus(links)
+        assert Bus([FakeLink(ManualClock(), ends_ns=each) for each in times]).skew_ns() == skew_ns
+    bus = Bus([FakeLink(ManualClock(), ends_ns=each) for each in ((10, 11), (20, 21))])
     order = (1, BUS), (1, 0), (2, BUS), (3, BUS), (2, 0)
     bus.send(sent_array([Frame(identifier, b"", flags) for identifier, flags in order]))
-    links[0].out_ns, links[1].out_ns = [10, 11], [20, 21]
     assert list(bus.sent_ns()) == [20, 10, 21, None, 11], "None: the bus did not accept it"
 
 

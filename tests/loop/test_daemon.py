@@ -10,6 +10,8 @@ from typing import Any
 import pytest
 
 from drivers.arrays import Rows, array_at
+from drivers.compiled.compiler import INTEGER
+from drivers.compiled.pointed import of_python
 from drivers.errors import BusError
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
@@ -27,7 +29,6 @@ from plant_fmu.drives import drives_end
 from plant_fmu.faults.kinds import DriveSilence, EncoderJump, FramesLoss
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
-from tests.drivers.stub_protocol import InPython
 from tests.loop.bench import new_cycle
 from tests.loop.wire import IDEAL, PERIOD_NS, Wire, daemon
 
@@ -262,6 +263,12 @@ def test_off_commands_after_an_exception_are_repeated_on_each_bus_that_accepted_
 # -- the window of the feedbacks -------------------------------------------------------------------------------
 
 
+def in_python(function: Any, arguments: int) -> Any:
+    """Function of integers that compiled code calls by its address."""
+    address, keeps = of_python(function, *[INTEGER] * arguments)
+    return SimpleNamespace(address=address, keeps=keeps)
+
+
 class Tail:
     """A protocol whose answers carry no SYNC counter: an answer before the SYNC belongs to the SYNC before."""
 
@@ -269,7 +276,7 @@ class Tail:
 
     def __init__(self, *, shares_identifiers: bool) -> None:
         self.traits = SimpleNamespace(feedback_ids={1, 2}, shares_identifiers=shares_identifiers)
-        self.fresh_by, self.addressed_by = InPython(self._fresh, 4), InPython(lambda *_: 0, 2)
+        self.fresh_by, self.addressed_by = in_python(self._fresh, 4), in_python(lambda *_: 0, 2)
 
     def _fresh(self, _context: int, frame: int, _tick: int, since_ns: int) -> int:
         ((t_ns, answer),) = received_frames(array_at(frame, 1, FRAME))

@@ -132,7 +132,6 @@ class Transmission:
 
     def _loss(self, force: Array, rate: Array) -> Array:
         """F0 / F (6,), from eta_b to 1 / eta_d, 1 at rest; only the sign of `force` counts."""
-        each = zip(
-            force.tolist(), rate.tolist(), self.driving.tolist(), self.back_driving.tolist(), strict=True
-        )
-        return np.array([loss_of(f, dq, eta_d, eta_b, self.full_loss_m_s) for f, dq, eta_d, eta_b in each])
+        loss = np.empty(LEGS)
+        fill_loss(force, rate, self.driving, self.back_driving, self.full_loss_m_s, loss)
+        return loss

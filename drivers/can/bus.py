@@ -281,7 +281,7 @@ class Bus(Source):
 def _open(settings: BusSettings, clock: BenchClock | None) -> Link:
     interface = settings.interface
     options: dict[str, Any] = settings.options
-    known = {"localcan": ("spin_us", "tx_limit"), "socketcan": (RESTART_MS, HARDWARE_STAMPS)}.get(interface)
+    known = {"localcan": ("spin_us",), "socketcan": (RESTART_MS, HARDWARE_STAMPS)}.get(interface)
     if known is None:
         return open_python_can(settings)
     if unknown := sorted(set(options) - set(known)):

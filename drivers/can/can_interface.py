@@ -128,28 +128,25 @@ def refusal(found: CanInterface, settings: BusSettings) -> str:
         )
     asked = settings.options.get(RESTART_MS)
     if not found.has_controller:
-        if asked is None:
-            return ""
-        return f"has no restart-ms, but bus.options.{RESTART_MS} is {asked}: remove that option"
-    rates = [
-        ("bitrate", "bus.bitrate_bit_s", found.bitrate_bit_s, settings.bitrate_bit_s),
-        ("dbitrate", "bus.data_bitrate_bit_s", found.data_bitrate_bit_s, settings.data_bitrate_bit_s),
-    ][: 1 + fd]
+        why = f"has no restart-ms, but bus.options.{RESTART_MS} is {asked}: remove that option"
+        return "" if asked is None else why
+    rows = [
+        ("bitrate", found.bitrate_bit_s, "bus.bitrate_bit_s", settings.bitrate_bit_s),
+        *[("dbitrate", found.data_bitrate_bit_s, "bus.data_bitrate_bit_s", settings.data_bitrate_bit_s)] * fd,
+        *[("restart-ms", found.restart_ms, f"bus.options.{RESTART_MS}", asked)] * (asked is not None),
+    ]
     wrong = [
-        f"runs at {word} {has}, but {key} is {wants}"
-        for word, key, has, wants in rates
+        f"has {what} {has}, but {key} is {wants}"
+        for what, has, key, wants in rows
         if has not in (None, wants)
     ]
-    if asked is not None and asked != found.restart_ms:
-        wrong.append(f"has restart-ms {found.restart_ms}, but bus.options.{RESTART_MS} is {asked}")
     if found.modes & _LISTEN_ONLY:
         wrong.append("only receives (listen-only on)")
     if found.modes & _LOOPBACK:
         wrong.append("sends only to itself (loopback on)")
     if wrong:
-        word = " ".join(f"{word} {wants}" for word, _, _, wants in rates)
-        again = "" if asked is None else f" restart-ms {asked}"
-        fix = f"ip link set {name} type can {word}{again} listen-only off loopback off"
+        given = " ".join(f"{what} {wants}" for what, _, _, wants in rows)
+        fix = f"ip link set {name} type can {given} listen-only off loopback off"
         return f"{'; '.join(wrong)}: 'ip link set {name} down', '{fix}' and '... up', or change bus.*"
     if found.state is BusState.OFF:
         return f"is bus-off: find the cause, then 'ip link set {name} type can restart', or down and up"

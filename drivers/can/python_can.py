@@ -18,7 +18,6 @@ from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.frame_array import FRAME, RECEIVED, frame_bytes, unpack_frames
 
-_WIRELESS = frozenset({"udp_multicast"})
 _BATCH = 512
 """Most polls of one `receive`, which so ends even if frames keep arriving."""
 _FAILURES = 8
@@ -39,7 +38,7 @@ class PythonCan(Link):
 
     def __init__(self, bus: can.BusABC, interface: str = "") -> None:
         self._failures = 0
-        self.virtual = interface in _WIRELESS
+        self.virtual = interface == "udp_multicast"
         self._bus = bus
         self._held = bytearray()
         self._taken_ns = []

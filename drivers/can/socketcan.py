@@ -279,14 +279,12 @@ class SocketCan(Link):
         try:
             if not self._down and self._to_drop():
                 self._drop()
-        except PermissionError as error:
-            raise BusError(
-                f"bus socketcan:{self.channel} is bus-off, or stale frames are stuck in its transmit queue; "
-                f"clear it with 'ip link set {self.channel} down' and '... up', or give this "
-                "program CAP_NET_ADMIN"
-            ) from error
         except OSError as error:
-            raise BusError(f"bus socketcan:{self.channel} cannot be cleared: {error.strerror}") from error
+            raise BusError(
+                f"bus socketcan:{self.channel} is gone, bus-off, or has stale frames in its transmit queue: "
+                f"{error.strerror}; clear it with 'ip link set {self.channel} down' and '... up', or give "
+                "this program CAP_NET_ADMIN"
+            ) from error
         self._come_back()
         self._refused = False
 

@@ -66,14 +66,11 @@ def watchdog_ms(setup: DriveSetup) -> int:
     Raises ProtocolError if it does not fit into object 0x1016 or is too short for the loop rate.
     """
     time_ms = 1e3 * setup.watchdog_s
-    if not 0.5 <= time_ms < 0xFFFF:
+    least_s = max(5e-4, LEAST_TICKS * (1 - 1e-9) / setup.rate_Hz)
+    if not least_s <= setup.watchdog_s < 65.535:
         raise ProtocolError(
-            f"drives.watchdog_ms: {time_ms:g} ms does not fit into object 0x1016, allowed: 1 to 65534 ms"
-        )
-    if setup.watchdog_s * setup.rate_Hz < LEAST_TICKS * (1 - 1e-9):
-        raise ProtocolError(
-            f"drives.watchdog_ms: {time_ms:g} ms is too short at {setup.rate_Hz:g} Hz, allowed: at least "
-            f"{LEAST_TICKS} periods, {1e3 * LEAST_TICKS / setup.rate_Hz:.4g} ms"
+            f"drives.watchdog_ms: {time_ms:g} ms, allowed at {setup.rate_Hz:g} Hz: at least {LEAST_TICKS} "
+            f"periods, {1e3 * least_s:.4g} ms, and up to 65534 ms in object 0x1016"
         )
     return round(time_ms)
 

@@ -64,11 +64,7 @@ def _read(path: str) -> Sheet:
         raise ConfigurationError(f"drives.options.eds: no such file: {path}")
     parser = RawConfigParser(strict=False, allow_no_value=True, inline_comment_prefixes=(";",))
     try:
-        data = Path(path).read_bytes()
-        try:
-            text = data.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = data.decode("cp1252", "replace")
+        text = Path(path).read_text("utf-8-sig", "replace")  # names and comments may have another encoding
         parser.read_file(map(str.strip, text.splitlines()), path)
     except (Error, OSError) as error:
         reason = " ".join(str(error).split())[:_LONGEST]

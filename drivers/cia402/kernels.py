@@ -80,7 +80,6 @@ DRIVES = np.dtype(
     ]
 )
 """Record of the controller's end of six drives."""
-_PLACE_BYTES, _SPEED_BYTES, _EMERGENCY_BYTES, _SDO_BYTES = 8, 4, 8, 8
 _DRIVES = record(DRIVES)
 _TICK = record(TICK, "tick", "t_ns", "lateness_ns", "latch_ns", *part("measurement"))
 _STATE_OF = np.array(s.STATE_OF)
@@ -188,21 +187,21 @@ def _hear(c: Any, base: int, leg: int, frame: Any, since_ns: int, tick: Any) -> 
     data, size = frame.data, int(frame.length)
     late = frame.t_ns < since_ns + tick.latch_ns[leg]
     if base == _TPDO1:
-        if size != _PLACE_BYTES or _STATE_OF[data[0] & 0x7F] == s.UNHEARD:
+        if size != 8 or _STATE_OF[data[0] & 0x7F] == s.UNHEARD:
             return False
-        _take(c, leg, leg, whole(data, 0, _PLACE_BYTES), late, tick)
+        _take(c, leg, leg, whole(data, 0, 8), late, tick)
     elif base == _TPDO2 and c.velocity:
-        if size != _SPEED_BYTES:
+        if size != 4:
             return False
-        _take(c, LEGS + leg, leg, whole(data, 0, _SPEED_BYTES), late, tick)
+        _take(c, LEGS + leg, leg, whole(data, 0, 4), late, tick)
     elif base == o.HEARTBEAT_ID:
         return size == 1 and _beat(c, leg, int(data[0]), tick)
     elif base == o.EMCY_ID:
-        if size != _EMERGENCY_BYTES:
+        if size != 8:
             return False
         tick.drive_fault[leg] = whole(data, 0, 2)
     elif base == o.SDO_REPLY_ID:
-        return size == _SDO_BYTES and _answered(c, leg, data, tick)
+        return size == 8 and _answered(c, leg, data, tick)
     elif base == _RPDO:
         tick.foreign |= Foreign.COMMAND.value
     elif base == o.SDO_REQUEST_ID:

@@ -28,55 +28,43 @@ PROFILE_402 = 0x0192
 
 Key = tuple[int, int]
 """Index and sub-index."""
-DEVICE_TYPE: Key = 0x1000, 0
+NAMES: dict[Key, str] = {}
+"""Objects that messages describe in words."""
+
+
+def _object(index: int, sub: int, name: str) -> Key:
+    NAMES[index, sub] = name
+    return index, sub
+
+
+DEVICE_TYPE = _object(0x1000, 0, "device type")
 ERROR_REGISTER: Key = 0x1001, 0
-CONSUMER_HEARTBEAT: Key = 0x1016, 1
-PRODUCER_HEARTBEAT: Key = 0x1017, 0
-REVISION: Key = 0x1018, 3
-SERIAL: Key = 0x1018, 4
-COMMUNICATION_ERROR: Key = 0x1029, 1
-ABORT_CONNECTION: Key = 0x6007, 0
+CONSUMER_HEARTBEAT = _object(0x1016, 1, "consumer heartbeat time")
+PRODUCER_HEARTBEAT = _object(0x1017, 0, "producer heartbeat time")
+REVISION = _object(0x1018, 3, "revision number")
+SERIAL = _object(0x1018, 4, "serial number")
+COMMUNICATION_ERROR = _object(0x1029, 1, "reaction to a communication error")
+ABORT_CONNECTION = _object(0x6007, 0, "abort connection option code")
 ERROR_CODE: Key = 0x603F, 0
 CONTROLWORD: Key = 0x6040, 0
 STATUSWORD: Key = 0x6041, 0
-QUICK_STOP: Key = 0x605A, 0
-FAULT_REACTION: Key = 0x605E, 0
-MODE: Key = 0x6060, 0
-MODE_SHOWN: Key = 0x6061, 0
+QUICK_STOP = _object(0x605A, 0, "quick stop option code")
+FAULT_REACTION = _object(0x605E, 0, "fault reaction option code")
+MODE = _object(0x6060, 0, "mode of operation")
+MODE_SHOWN = _object(0x6061, 0, "mode of operation display")
 POSITION: Key = 0x6064, 0
 VELOCITY: Key = 0x606C, 0
 TARGET_TORQUE: Key = 0x6071, 0
-MAX_TORQUE: Key = 0x6072, 0
-RATED_TORQUE: Key = 0x6076, 0
+MAX_TORQUE = _object(0x6072, 0, "max torque")
+RATED_TORQUE = _object(0x6076, 0, "motor rated torque")
 TORQUE: Key = 0x6077, 0
-ENCODER_INCREMENTS: Key = 0x608F, 1
-MOTOR_REVOLUTIONS: Key = 0x608F, 2
-PERIOD_MANTISSA: Key = 0x60C2, 1
-PERIOD_EXPONENT: Key = 0x60C2, 2
-SUPPORTED_MODES: Key = 0x6502, 0
+ENCODER_INCREMENTS = _object(0x608F, 1, "encoder increments")
+MOTOR_REVOLUTIONS = _object(0x608F, 2, "motor revolutions")
+PERIOD_MANTISSA = _object(0x60C2, 1, "interpolation time period")
+PERIOD_EXPONENT = _object(0x60C2, 2, "interpolation time index")
+SUPPORTED_MODES = _object(0x6502, 0, "supported drive modes")
 RPDO, RPDO_MAP, TPDO, TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
 """Indices of the first PDO's parameters and mapping."""
-
-NAMES: dict[Key, str] = {
-    DEVICE_TYPE: "device type",
-    CONSUMER_HEARTBEAT: "consumer heartbeat time",
-    PRODUCER_HEARTBEAT: "producer heartbeat time",
-    REVISION: "revision number",
-    SERIAL: "serial number",
-    COMMUNICATION_ERROR: "reaction to a communication error",
-    ABORT_CONNECTION: "abort connection option code",
-    QUICK_STOP: "quick stop option code",
-    FAULT_REACTION: "fault reaction option code",
-    MODE: "mode of operation",
-    MODE_SHOWN: "mode of operation display",
-    MAX_TORQUE: "max torque",
-    RATED_TORQUE: "motor rated torque",
-    ENCODER_INCREMENTS: "encoder increments",
-    MOTOR_REVOLUTIONS: "motor revolutions",
-    PERIOD_MANTISSA: "interpolation time period",
-    PERIOD_EXPONENT: "interpolation time index",
-    SUPPORTED_MODES: "supported drive modes",
-}
 
 HAS = {"has_rated_torque": RATED_TORQUE, "has_abort_connection": ABORT_CONNECTION}
 """Option -> object that drives may lack; a user who sets one to false answers for its effect."""

@@ -90,7 +90,7 @@ def test_udp_multicast_carries_frames_and_stays_on_this_machine():
         ({"interface": "udp_multicast", "channel": "t-e-x-t"}, ["udp_multicast:t-e-x-t", "bus.channel"]),
         ({"channel": "t", "options": {"spin_us": "x"}}, ["spin_us", "'x'"]),
         ({"channel": "t", "options": {"spin_us": -1}}, ["0 to 10000"]),
-        ({"channel": "t", "options": {"colour": 1}}, ["colour", "spin_us, tx_limit"]),
+        ({"channel": "t", "options": {"colour": 1}}, ["colour", "allowed: spin_us"]),
     ],
 )
 def test_bus_that_cannot_open_is_refused_and_does_not_keep_the_role_of_controller(settings, words):

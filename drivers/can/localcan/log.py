@@ -152,7 +152,7 @@ def foresee(words: Ints, state: Ints, queue: Ints, missing: Ints) -> int:
             return int(free)
 
 
-@kernel(*(OUT_INTEGERS,) * 4, OUT_INTEGER_MATRIX, MATRIX_OF_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, INTEGER)
+@kernel(*(OUT_INTEGERS,) * 4, OUT_INTEGER_MATRIX, MATRIX_OF_INTEGERS, OUT_INTEGER_MATRIX, INTEGER)
 def put(
     words: Ints,
     state: Ints,
@@ -162,21 +162,20 @@ def put(
     frames: Ints,
     costs: Ints,
     limit: int,
-    limit_of_all: int,
 ) -> int:
     """Queue this participant's frames, FRAME records as words, until there is no room; returns how many.
 
     costs: priority, duration ns and length of each frame. clock_words, clock: shared words and state of its
-    `bench_clock`, which may belong to another wire. After the call at most `limit` of its own frames wait,
-    and `limit_of_all` of all. The time of queueing is read just before the frame is counted.
+    `bench_clock`, which may belong to another wire. After the call at most `limit` of its own frames wait.
+    The time of queueing is read just before the frame is counted.
     """
-    slot, rows, own = state[SERIAL] % at.SLOTS, _gather(words, queue), 0
-    for row in range(rows):
+    slot, own = state[SERIAL] % at.SLOTS, 0
+    for row in range(_gather(words, queue)):
         own += words[queue[row, PLACE] + at.SENDER] == state[SERIAL]
     count_at = at.slot_at(slot) + at.SLOT_COUNT
     count = words[count_at]
     unread = count - load(words, at.slot_at(slot) + at.SLOT_FIRST)
-    room = max(0, min(frames.shape[0], limit - own, limit_of_all - rows, at.OUTBOX - unread))
+    room = max(0, min(frames.shape[0], limit - own, at.OUTBOX - unread))
     for row in range(room):
         number, record = count + row, at.record_at(slot, count + row)
         # a reader of the frame that was there detects the new number

@@ -24,8 +24,6 @@ DEFAULT_TIMING = BitTiming(1_000_000, 5_000_000)
 DEFAULT_MODE = Mode(DEFAULT_TIMING, fd=True)
 TX_LIMIT = 64
 """Most frames of one participant that may wait for the bus."""
-QUEUE_LIMIT = 4096
-"""Most frames that may wait for the bus, all participants together."""
 BATCH = 512
 """Frames read from the wire at once."""
 _AGAIN_NS = 20_000_000
@@ -59,9 +57,9 @@ class Participant(Link):
 
     The first participant that sets bit rates (`timing`) or CAN FD (`fd`) fixes them; None accepts what is
     set. `own`: receive own frames, too. `spin_us`: busy-wait this long, us, before the end of an awaited
-    frame. `tx_limit`: frames that may wait for the bus before `send` accepts no more. `clock`: clock of a
-    participant on another channel, to be shared; it stops holding time when this one leaves. By default the
-    channel has its own clock. Others that join this channel use its own clock, which follows the shared one.
+    frame. `clock`: clock of a participant on another channel, to be shared; it stops holding time when this
+    one leaves. By default the channel has its own clock. Others that join this channel use its own clock,
+    which follows the shared one.
 
     Mutable state: the shared wire; this reader's position in its log; frames received but not taken.
     Raises BusError if the timing differs or the folder cannot be used.
@@ -78,11 +76,9 @@ class Participant(Link):
         fd: bool | None = None,
         own: bool = False,
         spin_us: float = 50.0,
-        tx_limit: float = TX_LIMIT,
         clock: BenchClock | None = None,
     ) -> None:
         self._spin_ns = int(spin_us * 1000)
-        self._tx_limit = min(int(tx_limit), at.OUTBOX // 2)
         self._inbox = bytearray()
         self._sent = range(0)
         """Numbers of the frames accepted by the last `send`."""
@@ -157,7 +153,7 @@ class Participant(Link):
         return self._wire.mode or DEFAULT_MODE
 
     def send(self, frames: Rows) -> int:
-        """Queue FRAME records at this node; returns how many were accepted: fewer at `tx_limit` waiting.
+        """Queue FRAME records at this node; returns how many were accepted: fewer at TX_LIMIT waiting.
 
         Never waits. Raises BusError for a frame that this bus cannot carry.
         """
@@ -180,8 +176,7 @@ class Participant(Link):
                 self._queue,
                 np.frombuffer(content, np.int64).reshape(-1, log.FRAME_WORDS),
                 np.array(costs, np.int64).reshape(-1, 3),
-                self._tx_limit,
-                QUEUE_LIMIT,
+                TX_LIMIT,
             )
             self._sent = range(number, number + taken)
         self._queued_ns = now = self.clock.now()

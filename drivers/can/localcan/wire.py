@@ -70,16 +70,11 @@ class Wire:
             if new:
                 self._claim(0, at.OUTBOX_AT * at.WORD)
             self.memory = mmap.mmap(self._fd, at.SIZE)
-        except (BusError, OSError) as error:
+        except OSError as error:
             if new:
                 self.path.unlink(missing_ok=True)
             os.close(self._fd)
-            if isinstance(error, BusError):
-                raise
-            raise BusError(
-                f"localcan: {path}: {error.strerror}: {at.SIZE / 1e6:.1f} MB of memory are needed; "
-                "raise the limit of a process (`ulimit -v`), or end a process that uses the memory"
-            ) from error
+            raise self._no_room(error) from error
         self.words: Ints = np.frombuffer(self.memory, np.int64)
         self._slots = self.words[at.SLOTS_AT :][: at.SLOTS * at.SLOT].reshape(at.SLOTS, at.SLOT)
         self.bell = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -100,14 +95,14 @@ class Wire:
 
     def _claim(self, start: int, length: int) -> None:
         """Reserve memory for part of the file: on a full file system a later write would kill the process."""
-        try:
-            os.ftruncate(self._fd, at.SIZE)
-            os.posix_fallocate(self._fd, start, length)
-        except OSError as error:
-            raise BusError(
-                f"localcan: no room for {length // 1024} KiB in {self.path.parent} ({error.strerror}); "
-                "free some space or set XDG_RUNTIME_DIR"
-            ) from error
+        os.ftruncate(self._fd, at.SIZE)
+        os.posix_fallocate(self._fd, start, length)
+
+    def _no_room(self, error: OSError) -> BusError:
+        return BusError(
+            f"localcan: no room in {self.path.parent} or in memory ({error.strerror}); free some space, "
+            "raise the limit of a process (`ulimit -v`), or set XDG_RUNTIME_DIR"
+        )
 
     def unlock(self) -> None:
         """Release the lock, so that others can join and leave."""
@@ -150,7 +145,10 @@ class Wire:
             raise BusError(f"localcan: {self.path.name} has {at.SLOTS} participants, the limit; close one")
         self.words[at.SERIAL_AT] += 1
         serial = int(self.words[at.SERIAL_AT]) * at.SLOTS + int(empty[0])
-        self._claim(at.record_at(serial, 0) * at.WORD, at.OUTBOX * at.RECORD_WORDS * at.WORD)
+        try:
+            self._claim(at.record_at(serial, 0) * at.WORD, at.OUTBOX * at.RECORD_WORDS * at.WORD)
+        except OSError as error:
+            raise self._no_room(error) from error
         bell, slot = Path(self.bell_of(serial)), self._slots[empty[0]]
         try:
             bell.unlink(missing_ok=True)

@@ -3,6 +3,8 @@
 Sine, cosine and arc tangent are power series: the C library's last bit differs from processor to processor.
 """
 
+from math import factorial
+
 import numpy as np
 
 from drivers.arrays import Array
@@ -14,14 +16,7 @@ _TERMS = 24
 
 def reciprocal_factorials(first: int) -> tuple[float, ...]:
     """Coefficients (-1)^k / (2 k + first)! for k = 0, 1, ..., of the power series of rotations."""
-    values = []
-    factorial = 1
-    for n in range(2, first + 1):
-        factorial *= n
-    for k in range(_TERMS):
-        values.append((-1) ** k / factorial)
-        factorial *= (2 * k + first + 1) * (2 * k + first + 2)
-    return tuple(values)
+    return tuple((-1) ** k / factorial(2 * k + first) for k in range(_TERMS))
 
 
 SINE = reciprocal_factorials(1)

@@ -177,3 +177,23 @@ def test_frame_is_awaited_on_the_bus_where_its_identifier_was_last_received():
     bus.block(99, {7, 8, 9})
     bus.block(99, {7, 9})
     assert [link.blocked for link in made] == [[], [(99, {8})], [(99, {7, 9})]]
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "deadline_ns", "until_ns"),
+    [
+        ({"end_ns": 400_000}, {"end_ns": 700_000}, 900_000_000, 400_000),
+        ({"end_ns": 700_000}, {"end_ns": 400_000}, 900_000_000, 400_000),
+        ({"end_ns": 700_000}, {"end_ns": 400_000}, 100_000, 100_000),
+        ({"file": 9}, {}, 900_000_000, 201_000),  # without a descriptor it is polled again after 0.2 ms
+        ({"file": 9}, {}, 50_000, 50_000),
+    ],
+)
+def test_wait_on_two_buses_ends_at_the_first_end_of_a_frame_or_the_deadline(
+    one, other, deadline_ns, until_ns
+):
+    bus, made, clock = several(2)
+    for link, fields in zip(made, (one, other), strict=True):
+        vars(link).update(fields)
+    bus.block(deadline_ns, frozenset())
+    assert clock.slept == [until_ns]

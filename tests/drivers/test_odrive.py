@@ -210,13 +210,6 @@ def test_error_in_an_odrive_heartbeat_becomes_a_drive_fault_or_keeps_the_axis_co
     assert AXES.fault_text(0x2108) == "missing estimate, motor over temperature"
 
 
-def test_odrive_heartbeat_or_estimate_of_wrong_length_counts_as_invalid():
-    for kind in (0x01, 0x09):
-        for size in (0, 4, 7):
-            heard = AXES.hear(to(kind, bytes(size)))
-            assert (heard.leg, heard.broken, heard.feedback) == (4, True, False)
-
-
 def test_odrive_address_answer_has_eight_bytes_and_its_own_node_number():
     data = bytes.fromhex("05010203040506ff")
     assert AXES.identity(to(0x06, data)) == Said(4, "serial number", 0x060504030201)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from hil.app.run import rate_selection
+from hil.app.run import command
 from hil.cli import main
 
 if __name__ == "__main__":
-    vars(rate_selection).update(fifo_allowed=lambda _: True, late_share=lambda *_: 0.0)
+    vars(command).update(fifo_allowed=lambda _: True, late_share=lambda *_: 0.0)
     main()

@@ -8,8 +8,7 @@ import numpy as np
 from drivers.config import UDP
 from drivers.motors import MotorProtocol
 from drivers.transmission import Transmission
-from hil.app.check.leg_axes import crossing
-from hil.app.check.leg_order import findings, model_mobility
+from hil.app.check.leg_order import crossing, findings, model_mobility
 from hil.app.check.loose_limits import FACTOR, loose
 from hil.app.check.report import Scaled
 from hil.app.check.subject import LEAST_MARGIN_DEG, Subject, robot, rough_rows, static_N

@@ -2,9 +2,10 @@
 
 import contextlib
 import os
+import select
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -35,11 +36,20 @@ from hil.app.output import (
     warn,
 )
 from hil.app.replay import measured
-from hil.app.run.consent import EnterKey
 from hil.app.run.processes import SupervisedPlant, WatchProcess
-from hil.app.run.rate_selection import select_rate
 from hil.app.run.stretching import STRANGER, begin, bench_clock, stretches
-from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
+from hil.loop.clock import (
+    LATE_PERIODS,
+    LATE_SHARE,
+    STALL_S,
+    Deadlines,
+    RealTime,
+    fifo_allowed,
+    holdable_rate,
+    late_share,
+    real_time,
+    resident_MB,
+)
 from hil.loop.cycle import Cycle
 from hil.loop.daemon import Shell, run
 from hil.loop.panel import OperatorPanel
@@ -49,6 +59,116 @@ from hil.operate.client import OperatorClient
 from hil.record import LogSummary, scheduling
 from hil.record.figures import picture
 from hil.record.log import plant_log_beside
+
+RELAXED_WATCHDOG_S = 0.2
+"""Watchdog of emulated drives in a loop without real time. Real drives keep the configured one."""
+
+
+def select_rate(c: Configuration, *, with_plant: bool, stretching: bool = False) -> tuple[float, float]:
+    """(rate Hz, drive watchdog s): as configured, or as this machine can hold.
+
+    with_plant: the drives are emulated on this machine. stretching: the bench's time pauses while this
+    machine is late, so the configured values stay. Raises RunError: the loop may not be slowed down.
+    """
+    rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
+    if stretching and c.loop.without_realtime == "slow":
+        return rate, watchdog_s
+    lack = _lack(c, with_plant=with_plant)
+    if not lack:
+        return rate, watchdog_s
+    if c.loop.without_realtime == "refuse":
+        raise RunError(f"{lack}, and loop.without_realtime is `refuse`: nothing was started")
+    slow, worst_s = holdable_rate(rate, patience(c))
+    if with_plant:
+        watchdog_s = max(watchdog_s, RELAXED_WATCHDOG_S)
+    elif 3.0 / slow > watchdog_s:
+        raise RunError(
+            f"{lack}: this machine holds {slow:g} Hz now, drives.watchdog_ms {watchdog_s * 1e3:g} needs at "
+            f"least {3.0 / watchdog_s:.0f} Hz; grant SCHED_FIFO or lengthen the watchdog"
+        )
+    text = f"{lack}: the loop runs at {slow:g} Hz instead of {rate:g} Hz" if slow < rate else lack
+    if with_plant:
+        text += f", emulated drives' watchdog {watchdog_s * 1e3:g} ms"
+    if worst_s * slow > patience(c):
+        text += f"; stalls of {1e3 * worst_s:.0f} ms now: expect a controlled stop, or free this machine"
+    warn(text)
+    return slow, watchdog_s
+
+
+def _lack(c: Configuration, *, with_plant: bool) -> str:
+    """Reason why this machine cannot run the loop in real time; empty if it can, or if limits allow stalls.
+
+    With the plant on the same machine SCHED_FIFO must be granted and kept: late feedback makes a leg stale.
+    """
+    if not fifo_allowed(c.loop.priority):
+        return "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
+    stall_s = min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)  # longest stall that ends no run
+    if not with_plant or stall_s >= STALL_S:
+        return ""
+    late = late_share(c.loop.rate_Hz, c.loop.priority)
+    if late <= LATE_SHARE:
+        return ""
+    late_us = 1e6 * LATE_PERIODS / c.loop.rate_Hz
+    return (
+        f"this machine does not keep SCHED_FIFO, {100 * late:.1f} % of its wake-ups are {late_us:.0f} us late"
+    )
+
+
+def patience(c: Configuration) -> int:
+    """Longest stall of the loop, in periods, that does not end a run."""
+    return min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks)
+
+
+_LONGEST = 1024
+
+
+class EnterKey:
+    """Enter key of the terminal, which counts while this process runs in its foreground.
+
+    Mutable state: whether the first call has discarded earlier input; whether the terminal has closed.
+    """
+
+    def __init__(self, hung_up: Callable[[], None], fd: int = 0) -> None:
+        """fd: the terminal. hung_up: called once when the terminal has closed.
+
+        Raises RunError: fd is not a terminal, or this process is not in its foreground.
+        """
+        try:
+            ours = os.isatty(fd) and os.tcgetpgrp(fd) == os.getpgrp()
+        except OSError:
+            ours = False
+        if not ours:
+            raise RunError(
+                "the platform moves only with the operator's consent, and there is no terminal to press "
+                "Enter in: add --arm, or --wait-for-arm and run `hil ctl CONFIG arm`"
+            )
+        self._fd = fd
+        self._hung_up = hung_up
+        self._poll = select.poll()
+        self._poll.register(fd, select.POLLIN)
+        self._asked = self._gone = False
+
+    def pressed(self) -> bool:
+        """True if Enter was pressed since the last call. The first call discards earlier input."""
+        if self._gone:
+            return False
+        import termios  # noqa: PLC0415 - not on Windows
+
+        try:
+            if not self._asked:
+                self._asked = True
+                termios.tcflush(self._fd, termios.TCIFLUSH)
+                return False
+            if not self._poll.poll(0):
+                return False
+            typed = os.read(self._fd, _LONGEST)
+        except (OSError, termios.error):
+            typed = b""
+        self._gone = not typed
+        if self._gone:
+            self._hung_up()
+        return b"\n" in typed
+
 
 _ENDINGS = {Mode.PARKED: "parked", Mode.FAULT: "fault", Mode.HELD: "held"}
 

@@ -14,14 +14,14 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import RunError
-from hil.app.run.consent import EnterKey
+from hil.app.run.command import EnterKey
 from hil.cli import main
 from tests.broad import broad
 
 ROOT = Path(__file__).resolve().parents[3]
 IN_A_TERMINAL = """
 import time
-from hil.app.run.consent import EnterKey
+from hil.app.run.command import EnterKey
 key = EnterKey(lambda: print("gone", flush=True))
 time.sleep(0.2)
 print("first", key.pressed(), flush=True)
@@ -60,7 +60,7 @@ def test_enter_on_the_terminal_arms_only_if_pressed_after_the_drives_are_ready()
 AT_A_TERMINAL_THAT_GOES = """
 import signal, sys, time
 from hil.app.run.command import _hung_up
-from hil.app.run.consent import EnterKey
+from hil.app.run.command import EnterKey
 from hil.cli import main
 from hil.loop.panel import OperatorPanel
 signal.signal(signal.SIGHUP, signal.SIG_IGN)

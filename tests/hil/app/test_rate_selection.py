@@ -8,7 +8,7 @@ import pytest
 
 from drivers.errors import RunError
 from hil.app.configuration.configuration import load
-from hil.app.run import rate_selection
+from hil.app.run import command
 
 
 class Machine(NamedTuple):
@@ -24,14 +24,14 @@ def chosen(monkeypatch):
     def choose(machine: Machine, name: str, *, with_plant: bool, stretching: bool = False, **changes: Any):
         said: list[str] = []
         held = machine.held_Hz, machine.stall_s
-        monkeypatch.setattr(rate_selection, "fifo_allowed", lambda _: machine.late is not None)
-        monkeypatch.setattr(rate_selection, "late_share", lambda *_: machine.late)
-        monkeypatch.setattr(rate_selection, "holdable_rate", lambda *_: held)
-        monkeypatch.setattr(rate_selection, "warn", said.append)
+        monkeypatch.setattr(command, "fifo_allowed", lambda _: machine.late is not None)
+        monkeypatch.setattr(command, "late_share", lambda *_: machine.late)
+        monkeypatch.setattr(command, "holdable_rate", lambda *_: held)
+        monkeypatch.setattr(command, "warn", said.append)
         c = load(name)
         for section, values in changes.items():
             c = c.model_copy(update={section: getattr(c, section).model_copy(update=values)})
-        found = rate_selection.select_rate(c, with_plant=with_plant, stretching=stretching)
+        found = command.select_rate(c, with_plant=with_plant, stretching=stretching)
         return *found, " ".join(said)
 
     return choose

@@ -206,7 +206,7 @@ def stability(r: Report) -> None:
     r.figures["stability"] = {
         each: getattr(found, each) for each in ("status", "claim", "conditions", "premises")
     }
-    r.add("controller", "stability {line}", line=found.line)
+    r.add("controller", "stability {found.status}: {found.claim}", found=found)
     spare_ms, premises = found.figures.get("delay_to_spare_ms"), "; ".join(found.premises)
     r.add(
         "controller", "  while {premises}; {spare_ms:.3g} ms to spare", premises=premises, spare_ms=spare_ms

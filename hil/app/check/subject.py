@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -28,15 +28,16 @@ from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Path, Problem, parse
 from hil.app.derive_encoder_limits import encoder_limits
-from hil.app.loop_delay import loop_delay, observer_of
+from hil.app.loop_delay import LoopDelay, loop_delay, observer_of
 from hil.app.reachability import IN_MM, Violation, Walk, span_s, violations, walk
 from hil.app.unknown_payload import UnknownPayload, force_steps_N, stepped_error_m, unknown_payload
+from hil.config.linear_controller import LinearController
 from hil.config.reference import LiveReference, SampledReference
 from hil.control.law import ErrorDynamics
 from hil.control.margin import cross_over, phase_margin_deg
 from hil.control.state_space import StateSpaceSettings
-from hil.design.stability.observed_loop import observed
-from hil.design.stability.sampled_loop import Axis, analyse, gains
+from hil.design.stability.observed_loop import Observer, observed
+from hil.design.stability.sampled_loop import Axis, analyse, gains, sampled_controller
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
@@ -47,8 +48,60 @@ from hil.trajectory.path import Trajectory, axis_limits, pose_coordinates
 from hil.trajectory.sampled import read_poses, roughness
 from plant_fmu.config import BenchPlant, StewartPlant
 
+
+class LoopFinding(NamedTuple):
+    """Lines, figures and warnings of `hil check` about a designed controller's loop."""
+
+    lines: list[str]
+    figures: dict[str, Any]
+    warnings: list[str]
+
+
+def designed_loop(
+    name: str,
+    controller: LinearController,
+    delay: LoopDelay,
+    observer: Observer | None,
+) -> LoopFinding:
+    """Stability margins of controller `name`, with a warning below LEAST_MARGIN_DEG degrees.
+
+    observer: observer of the wrench, if the controller compensates its estimate.
+    """
+    sampled = sampled_controller(controller)
+    loop = analyse(Axis(*delay), sampled if observer is None else observed(sampled, observer))
+    transport_ms, lag_ms = 1e3 * delay.transport_s, 1e3 * delay.lag_s
+    radius, left, order = loop.largest, loop.margins, len(controller.A)
+    figures = {
+        "order": order, "method": controller.method, "axes": controller.axes, "rate_Hz": controller.rate_Hz,
+        "transport_ms": transport_ms, "lag_ms": lag_ms, "pole_radius": radius,
+    }  # fmt: skip
+    what = f"controller {name}: {controller.method}, order {order} on each {controller.axes} axis"
+    delays, trouble = f"{transport_ms:.1f} ms of transport and {lag_ms:.1f} ms of lag", None
+    if observer is not None:
+        delays += f" and the observer of {observer.bandwidth_Hz:g} Hz"
+    if left is None:
+        line = f"unstable with {delays}"
+        trouble = f"{line}: a pole of the sampled loop at {radius:.4f}, allowed: below 1"
+    else:
+        figures |= {
+            "cross_over_rad_s": left.crossover_rad_s,
+            "phase_margin_deg": left.phase_deg,
+            "sensitivity_peak": left.peak_S,
+        }
+        line = (
+            f"crosses over at {left.crossover_rad_s:.0f} rad/s; {delays} leave {left.phase_deg:.0f} degrees "
+            f"of phase margin, sensitivity at most {left.peak_S:.2f}"
+        )
+        if left.phase_deg < LEAST_MARGIN_DEG:
+            trouble = (
+                f"about {left.phase_deg:.0f} degrees of phase margin with {delays}, advised: at least "
+                f"{LEAST_MARGIN_DEG:g}"
+            )
+    warnings = [] if trouble is None else [f"controller.controller_file: {trouble}; design for this delay"]
+    return LoopFinding([what, line], figures, warnings)
+
+
 if TYPE_CHECKING:
-    from hil.app.design.loop import LoopFinding
     from hil.app.stability.assessment import Assessment
     from plant_fmu.fmu.probe import Probe
 
@@ -202,15 +255,13 @@ class Subject:
         }
 
     @cached_property
-    def designed(self) -> "LoopFinding | None":
+    def designed(self) -> LoopFinding | None:
         """Margins of a designed controller (`state_space`) with the loop's delay; None for another law."""
         law = self.c.controller
         controller = controller_of(law, self.c.folder)
         if controller is None or not isinstance(law, StateSpaceSettings):
             return None
-        from hil.app.design.loop import judge  # noqa: PLC0415 - scipy, for the few who design
-
-        return judge(law.controller_file, controller, self.delay, LEAST_MARGIN_DEG, observer_of(self.c))
+        return designed_loop(law.controller_file, controller, self.delay, observer_of(self.c))
 
     @cached_property
     def answers_us(self) -> list[float]:

@@ -156,28 +156,15 @@ def _inertia(a: Answers) -> str | None:
     return None
 
 
-def _halves(a: Answers) -> str | None:
-    most = a["leg_mass_kg"]
-    heavy = f"the whole leg has {most:g} kg, given for its lower half: {a['cylinder_mass_kg']:g} kg"
-    return heavy if a["cylinder_mass_kg"] > most else None
+def _at_most(
+    key: str, unit: str, most: Callable[[Answers], float], beyond: str
+) -> Callable[[Answers], str | None]:
+    """Check of an answer against a bound by the earlier answers; beyond: what a larger one means."""
 
+    def trouble(a: Answers) -> str | None:
+        return None if a[key] <= most(a) else f"{beyond}, allowed: at most {most(a):.4g} {unit}"
 
-def _encoder(a: Answers) -> str | None:
-    most = 1e-3 * a["stroke_m"]
-    coarse = f"less than 1000 counts over the stroke, allowed: at most {most:.3g} m"
-    return coarse if a["encoder_resolution_m"] > most else None
-
-
-def _speed(a: Answers) -> str | None:
-    most = 50.0 * a["stroke_m"]
-    fast = f"the whole stroke in less than 20 ms, allowed: at most {most:.3g} m/s"
-    return fast if a["drive_speed_m_s"] > most else None
-
-
-def _sticks(a: Answers) -> str | None:
-    friction, force = a["coulomb_friction_N"], a["drive_force_N"]
-    most = 0.5 * force
-    return None if friction <= most else f"more than half of the rated force: at most {most:g} N"
+    return trouble
 
 
 def _layout(a: Answers) -> str | None:
@@ -228,11 +215,15 @@ QUESTIONS: tuple[Question, ...] = (
     Question("leg_mass_kg", "mass of one leg with its motor; 0 neglects it", Figure("kg", 0.0, 1e5)),
     Question(
         "cylinder_mass_kg", "of it, mass of the half at the base joint: housing, motor, brake, screw",
-        Figure("kg", 0.0, 1e5), lambda a: rounded(LOWER_SHARE * a["leg_mass_kg"], DIGITS), _halves,
+        Figure("kg", 0.0, 1e5), lambda a: rounded(LOWER_SHARE * a["leg_mass_kg"], DIGITS),
+        _at_most("cylinder_mass_kg", "kg", lambda a: a["leg_mass_kg"], "heavier than the whole leg"),
         lambda a: "cylinder_kg" not in a and a["leg_mass_kg"] > 0.0,
     ),
     Question("drive_force_N", "rated force of a drive", Figure("N", 1e-2, 1e7), trouble=_force),
-    Question("drive_speed_m_s", "largest speed of a drive", Figure("m/s", 1e-4, 50.0), trouble=_speed),
+    Question(
+        "drive_speed_m_s", "largest speed of a drive", Figure("m/s", 1e-4, 50.0), None,
+        _at_most("drive_speed_m_s", "m/s", lambda a: 50.0 * a["stroke_m"], "whole stroke in less than 20 ms"),
+    ),
     Question(
         "reflected_mass_kg",
         "rotor and screw as a mass along the leg, or inertia@lead in kg m^2 and m a turn: a servo motor of "
@@ -243,7 +234,8 @@ QUESTIONS: tuple[Question, ...] = (
         "coulomb_friction_N",
         "dry friction of a leg; usual for a ball screw: 1 to 3 % of the rated force; `hil identify payload` "
         "measures it; 0 neglects it",
-        Figure("N", 0.0, 1e6), lambda _: 0.0, _sticks,
+        Figure("N", 0.0, 1e6), lambda _: 0.0,
+        _at_most("coulomb_friction_N", "N", lambda a: 0.5 * a["drive_force_N"], "over half the rated force"),
     ),
     Question(
         "viscous_friction_N_s_m", "friction of a leg per speed; 0 neglects it", Figure("N s/m", 0.0, 1e7),
@@ -251,7 +243,7 @@ QUESTIONS: tuple[Question, ...] = (
     ),
     Question(
         "encoder_resolution_m", "one count of a leg's encoder", Figure("m", 1e-10, 1e-2), lambda _: 1e-6,
-        _encoder,
+        _at_most("encoder_resolution_m", "m", lambda a: 1e-3 * a["stroke_m"], "below 1000 counts a stroke"),
     ),
     Question(
         "brake_force_N", "holding force of a closed brake; without a data sheet that of the drive",

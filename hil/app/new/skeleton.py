@@ -34,7 +34,7 @@ def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
     taken = registered(f"hil.{kind}s").get(name)
     if taken is not None:
         raise ConfigurationError(f"{name}: there is a {kind} of this name, {taken.value}; take another name")
-    root, given = folder / name, _NAMES[kind]
+    root, given, title = folder / name, _NAMES[kind], name.title().replace("_", "")
     written = []
     try:
         root.mkdir()
@@ -42,12 +42,8 @@ def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
             path = root / place.format(name=name)
             path.parent.mkdir(exist_ok=True)
             text = (importlib.resources.files("configs") / "skeletons" / kind / file).read_text()
-            write_whole(path, text.replace(given, name).replace(given.title(), _camel(name)))
+            write_whole(path, text.replace(given, name).replace(given.title(), title))
             written.append(path)
     except OSError as error:
         raise ConfigurationError(f"{error.filename or root}: {error.strerror}") from None
     return written
-
-
-def _camel(name: str) -> str:
-    return "".join(part.title() for part in name.split("_"))

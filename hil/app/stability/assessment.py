@@ -26,11 +26,6 @@ class Assessment(NamedTuple):
     premises: list[str] = []
     """Timing and limits that the claim assumes; a run that violates one warns, or its drives end it."""
 
-    @property
-    def line(self) -> str:
-        """Status and proven statement in one line of text."""
-        return f"{self.status}: {self.claim}"
-
 
 NEGLIGIBLE = 0.01
 """Share of a disturbance below which a part of it is not shown."""

@@ -139,8 +139,13 @@ LIGHT = (
         ("--mounting sideways", "allowed: standing, wall, hanging, or gravity as three numbers"),
         ("--mounting 0,0,nan", "allowed: standing, wall, hanging, or gravity as three numbers"),
         ("--inertia 1,1", "'--inertia': allowed: three numbers"),
-        ("--encoder-resolution 1e-3", "--encoder-resolution: less than 1000 counts"),
-        ("--drive-speed 20", "--drive-speed: the whole stroke in less than 20 ms"),
+        ("--cylinder-mass 5", "--cylinder-mass: heavier than the whole leg, allowed: at most 4 kg"),
+        ("--coulomb-friction 401", "--coulomb-friction: over half the rated force"),
+        ("--reflected-mass 5e-5@0", "'--reflected-mass': 5e-5@0, allowed: kg, or kg m^2@m"),
+        ("--reflected-mass rotor@0.005", "'--reflected-mass': rotor@0.005, allowed: kg"),
+        ("--reflected-mass -1", "'--reflected-mass': -1.0 is not in the range"),
+        ("--encoder-resolution 1e-3", "--encoder-resolution: below 1000 counts"),
+        ("--drive-speed 20", "--drive-speed: whole stroke in less than 20 ms"),
         ("--mass nan", "'--mass': nan is not finite"),
         ("--base-radius 0,35", "not a valid number in m without the unit, with a decimal point"),
         ("--rate 1500", "--rate: bus: the frames of one tick do not fit"),
@@ -306,13 +311,6 @@ def test_reflected_mass_takes_the_inertia_of_a_rotor_and_the_lead_of_its_screw(t
     assert c.controller.model.reflected_mass_kg == c.plant.model.reflected_mass_kg
 
 
-@pytest.mark.parametrize("typed", ["5e-5@0", "5e-5@", "rotor@0.005", "-1"])
-def test_reflected_mass_that_is_no_mass_is_refused_with_what_is_allowed(typed, tmp_path):
-    done = new(tmp_path / "r.yaml", ROBOTS["stand"], "--reflected-mass", typed)
-    assert done.exit_code == 2
-    assert "--reflected-mass" in done.output
-
-
 def test_stated_friction_is_compensated_and_is_in_the_plant(tmp_path):
     path = tmp_path / "r.yaml"
     friction = ["--coulomb-friction", "60", "--viscous-friction", "200"]
@@ -347,24 +345,8 @@ def test_new_robot_that_sticks_at_a_low_rate_tracks_its_own_path(tmp_path):
     assert simulate(load(tmp_path / "r.yaml"), duration_s=10.0, log=tmp_path / "r.mcap")["success"]
 
 
-def test_friction_above_half_of_the_rated_force_is_refused(tmp_path):
-    done = new(tmp_path / "r.yaml", ROBOTS["stand"], "--coulomb-friction", "1600")
-    assert done.exit_code == 2
-    assert "at most 1500 N" in " ".join(done.output.split())
-
-
-def test_without_options_a_new_robot_has_no_friction(tmp_path):
-    path = tmp_path / "r.yaml"
-    assert new(path, ROBOTS["stand"]).exit_code == 0
-    c: Any = load(path)
-    assert c.plant.model.coulomb_friction_N == c.controller.model.coulomb_friction_N == 0.0
-
-
 def test_masses_of_both_halves_of_a_leg_are_those_given(tmp_path):
     path = tmp_path / "r.yaml"
     assert new(path, ROBOTS["stand"], "--cylinder-mass", "12").exit_code == 0
     platform = load(path).platform
     assert (platform.cylinder.mass_kg, platform.rod.mass_kg) == (12.0, 3.0)
-    too_heavy = new(tmp_path / "heavy.yaml", ROBOTS["stand"], "--cylinder-mass", "16")
-    assert too_heavy.exit_code == 2
-    assert "15 kg" in too_heavy.output

@@ -297,4 +297,4 @@ def test_printed_smallest_detectable_encoder_jump_at_rest_equals_a_hand_calculat
     sensing.encoders(report)
     leap = 16.0 * T * 7.0 / 3.0 + 4.0 * (2.0 * COUNT_m / T + SKEW_s * 16.0)
     assert report.figures["encoders"]["jump_m"] == pytest.approx(leap * T / 1.5, rel=1e-6)
-    assert any("0.162 mm" in line for line in report.sections["encoders, at rest"])
+    assert any("0.162 mm" in line for line in report.sections["encoders at rest"])

@@ -31,7 +31,7 @@ def robot(r: Report) -> None:
     r.add(
         "robot at home",
         """
-        leg lengths    {lengths} m (stroke {c.platform.length_min_m:g} to {c.platform.length_max_m:g})
+        leg lengths    {lengths} m (allowed {c.platform.length_min_m:g} to {c.platform.length_max_m:g})
         static forces  {forces} N
         condition of J {condition:.2f} (limit {c.limits.condition:g})
         """,

@@ -73,7 +73,7 @@ def encoders(r: Report) -> None:
     least, stated = steps(c, c.loop.rate_Hz), c.monitor
     then, ways = ("beyond known friction", "one way") if limits.sticks else ("then", "each way")
     r.add(
-        "encoders, at rest",
+        "encoders at rest",
         """
         resolution  of lengths: {length_m:micro.3g} um is used, monitor.length_noise_m is smaller
         resolution  of rates: {rate_m_s:milli.3g} mm/s is used, monitor.rate_noise_m_s is smaller

@@ -62,14 +62,11 @@ def _without(sign: sp.Expr, expression: sp.Expr) -> sp.Expr:
         terms = sp.Poly(sp.expand(e), s)
     except sp.PolynomialError:
         raise ModelError(f"{expression} is not shown to be continuous at {u} = 0") from None
-    without, odd, even = terms.nth(0), sp.S.Zero, sp.S.Zero
-    for (power,), coefficient in terms.terms():
-        odd += coefficient if power % 2 else 0
-        even += coefficient if power and power % 2 == 0 else 0
+    odd, even = (sum((c for (n,), c in terms.terms() if n and n % 2 == k), sp.S.Zero) for k in (1, 0))
     quotients = [sp.cancel(sp.together(part) / u) for part in (odd, even)]
     if any(not sp.denom(sp.together(q)).free_symbols.isdisjoint(u.free_symbols) for q in quotients):
         raise ModelError(f"{expression} jumps at {u} = 0, or is not shown to be continuous there")
-    return without + even + quotients[0] * sp.Abs(u)
+    return terms.nth(0) + even + quotients[0] * sp.Abs(u)
 
 
 def lie_derivative(

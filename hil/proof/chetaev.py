@@ -5,15 +5,15 @@ a lowest-order form (see origin). On each ray W < 0 or dW/dt > 0 is shown, and W
 """
 
 from collections.abc import Iterator
-from itertools import product
+from itertools import combinations, product
 
 import sympy as sp
 from flint import arb
 
 from drivers.errors import ModelError
-from hil.proof.branch_and_bound import Budget, faces, positive
+from hil.proof.branch_and_bound import faces, positive
 from hil.proof.cancellation import lie_derivative
-from hil.proof.interval import Cell, Enclosure, ball, unsupported
+from hil.proof.interval import ball, unsupported
 from hil.proof.origin import RADII, blown_up
 from hil.proof.signs import Signs, regular
 
@@ -27,12 +27,8 @@ def _rays(n: int) -> Iterator[tuple[float, ...]]:
     if n <= 4:
         yield from product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=n)
         return
-    for k in range(n):
-        for s in (-1.0, 1.0):
-            yield tuple(s if i == k else 0.0 for i in range(n))
-            for j in range(k):
-                for t in (-1.0, 1.0):
-                    yield tuple(s if i == k else t if i == j else 0.0 for i in range(n))
+    for (i, j), (s, t) in product(combinations(range(n), 2), product((-1.0, 0.0, 1.0), repeat=2)):
+        yield tuple(s if k == i else t if k == j else 0.0 for k in range(n))
 
 
 def function(V: sp.Expr | None, signs: Signs) -> sp.Expr | None:
@@ -56,13 +52,9 @@ def grows(W: sp.Expr, signs: Signs) -> bool:
         return False
     if W_dot == 0 or not (signs.enclosable(W) and signs.enclosable(W_dot)):
         return False
-    return any(_along(W, W_dot, w, signs) for w in _weights(len(states)))
-
-
-def _weights(n: int) -> list[tuple[int, ...]]:
-    if n > 3:
-        return [(1,) * n]
-    return sorted((w for w in product(range(1, WEIGHTS + 1), repeat=n) if 1 in w), key=lambda w: (sum(w), w))
+    n = len(states)
+    weights = product(range(1, WEIGHTS + 1), repeat=n) if n <= 3 else [(1,) * n]
+    return any(_along(W, W_dot, w, signs) for w in sorted(weights, key=sum) if 1 in w)
 
 
 def _along(W: sp.Expr, W_dot: sp.Expr, weights: tuple[int, ...], signs: Signs) -> bool:
@@ -76,15 +68,11 @@ def _along(W: sp.Expr, W_dot: sp.Expr, weights: tuple[int, ...], signs: Signs) -
         reach = ball(0.0, radius)
         # t is not divided: the two remainders hold for different t' between 0 and t
         there = [lambda x, g=g, t=reach: g([*x, t]) for g in (down[1], up[1])]
-        if positive(there, cells, budget, LIMIT):
-            return _somewhere(down[1], len(states), ranges, (0.0, radius), budget)
-    return False
-
-
-def _somewhere(down: Enclosure, n: int, ranges: Cell, reach: tuple[float, float], budget: Budget) -> bool:
-    """True if W > 0 is proven along a whole ray up to the origin, for all parameters."""
-    for ends in _rays(n):
-        ray: Cell = (*((e, e) for e in ends), *ranges, reach)
-        if max(map(abs, ends)) == 1.0 and budget.take() and down.on(ray) < arb(0):
-            return True
+        if positive(there, cells, budget, LIMIT):  # W > 0 along a whole ray up to the origin?
+            rays = [
+                (*((e, e) for e in u), *ranges, (0.0, radius))
+                for u in _rays(len(states))
+                if 1.0 in map(abs, u)
+            ]
+            return any(budget.take() and down[1].on(ray) < arb(0) for ray in rays)
     return False

@@ -57,7 +57,7 @@ def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
         direction = None if S is None else quadratic.falls([[-c for c in row] for row in S])
         if direction is None:
             continue
-        d = [quadratic.rational(c / max(map(abs, direction))) for c in direction]
+        d = [c / max(map(abs, direction)) for c in direction]
         if max(len(str(c)) for c in d) > 60:
             continue
         ends = [abs(end) for side in signs.system.domain.values() for end in side if not end.is_infinite]

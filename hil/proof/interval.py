@@ -114,33 +114,18 @@ def _action(e: sp.Expr) -> tuple[Callable[..., Ball], tuple[sp.Expr, ...]]:
     if e is sp.E:
         return arb.const_e, ()
     if isinstance(e, sp.Add):
-        return _sum, e.args
+        return lambda *terms: sum(terms[1:], terms[0]), e.args
     if isinstance(e, sp.Mul):
-        return _product, e.args
-    if isinstance(e, sp.Pow):
-        return _power(e)
+        return lambda *factors: math.prod(factors[1:], start=factors[0]), e.args
     if e.func in _UNARY:
         return _UNARY[e.func], e.args
-    raise ModelError(f"no enclosure of {e}: {ALLOWED} have one")
-
-
-def _sum(*terms: Ball) -> Ball:
-    return sum(terms[1:], terms[0])
-
-
-def _product(*factors: Ball) -> Ball:
-    return math.prod(factors[1:], start=factors[0])
-
-
-def _power(e: sp.Pow) -> tuple[Callable[..., Ball], tuple[sp.Expr, ...]]:
-    base, p = e.args
-    if p.is_Integer:
-        return (lambda x, n=int(p): _integer_power(x, n)), (base,)
-    if p.is_Rational:
-        inner = base.args[0] if isinstance(base, sp.Abs) else None
-        if inner is not None:
-            return (lambda x, q=p: _root_power(x.abs_lower(), x.abs_upper(), q)), (inner,)
-        return (lambda x, q=p: _root_power(x.lower(), x.upper(), q)), (base,)
+    if isinstance(e, sp.Pow) and e.exp.is_Rational:
+        base, p = e.args
+        if p.is_Integer:
+            return (lambda x: _integer_power(x, int(p))), (base,)
+        if isinstance(base, sp.Abs):
+            return (lambda x: _root_power(x.abs_lower(), x.abs_upper(), p)), base.args
+        return (lambda x: _root_power(x.lower(), x.upper(), p)), (base,)
     raise ModelError(f"no enclosure of {e}: {ALLOWED} have one")
 
 
@@ -155,10 +140,5 @@ def _root_power(low: Ball, high: Ball, p: sp.Rational) -> Ball:
     """x^p is monotone for x >= 0; low and high are points."""
     if not (low > 0 or (low.is_zero() and p > 0)):
         return arb.nan()
-    return _point_root(low, p).union(_point_root(high, p))
-
-
-def _point_root(x: Ball, p: sp.Rational) -> Ball:
-    if x.is_zero():
-        return arb(0)
-    return (x.log() * number(p)).exp()
+    ends = [arb(0) if x.is_zero() else (x.log() * number(p)).exp() for x in (low, high)]
+    return ends[0].union(ends[1])

@@ -33,11 +33,22 @@ def _leaves_branch(
         return False
     if (equation := todo[0].subs(solved, simultaneous=True)).count_ops() > LONGEST:
         return False
-    h = cancelled(equation)
-    rest = todo[1:]
+    h, rest = cancelled(equation), todo[1:]
     if h == 0:
         return _leaves_branch(rest, solved, kept, signs, left)
-    return all(_follow(way, rest, solved, kept, signs, left) for way in _ways(h, signs))
+    for way in _ways(h, signs):
+        try:
+            now = [*rest, lie_derivative(way, signs.system.f).subs(solved, simultaneous=True)]
+        except ModelError:
+            return False
+        known, zero = solved, [*kept, way]
+        if (x := _solvable(way, signs)) is not None:
+            value = sp.expand(x - way / sp.expand(way).coeff(x, 1))
+            known, zero = {y: sp.expand(e.subs(x, value)) for y, e in solved.items()} | {x: value}, []
+            now = [*(k.subs(x, value) for k in kept), *(t.subs(known, simultaneous=True) for t in now)]
+        if not _leaves_branch(now, known, zero, signs, left - 1):
+            return False
+    return True
 
 
 def _ways(h: sp.Expr, signs: Signs) -> list[sp.Expr]:
@@ -57,44 +68,13 @@ def _ways(h: sp.Expr, signs: Signs) -> list[sp.Expr]:
     return ways
 
 
-def _follow(
-    h: sp.Expr,
-    rest: list[sp.Expr],
-    solved: dict[sp.Symbol, sp.Expr],
-    kept: list[sp.Expr],
-    signs: Signs,
-    left: int,
-) -> bool:
-    f = signs.system.f
-    try:
-        derivative = lie_derivative(h, f).subs(solved, simultaneous=True)
-    except ModelError:
-        return False
-    todo = [*rest, derivative]
-    x = _solvable(h, signs)
-    if x is None:
-        return _leaves_branch(todo, solved, [*kept, h], signs, left - 1)
-    value = sp.expand(x - h / sp.expand(h).coeff(x, 1))
-    now = {y: sp.expand(e.subs(x, value)) for y, e in solved.items()} | {x: value}
-    return _leaves_branch(
-        [*[k.subs(x, value) for k in kept], *(t.subs(now, simultaneous=True) for t in todo)],
-        now,
-        [],
-        signs,
-        left - 1,
-    )
-
-
 def _solvable(h: sp.Expr, signs: Signs) -> sp.Symbol | None:
     """State in which h is linear, with a coefficient that is never zero, to eliminate this state; or None."""
     h = sp.expand(h)
     for x in signs.own(h):
         c = h.coeff(x, 1)
-        if (
-            (c.is_positive or c.is_negative)
-            and not signs.own(c)
-            and x not in sp.expand(h - c * x).free_symbols
-        ):
+        constant = (c.is_positive or c.is_negative) and not signs.own(c)
+        if constant and x not in sp.expand(h - c * x).free_symbols:
             return x
     return None
 

@@ -7,7 +7,6 @@ reaches the boundary.
 from itertools import product
 
 import sympy as sp
-from flint import fmpq, fmpq_mat
 
 from hil.proof import quadratic
 from hil.proof.interval import number
@@ -26,12 +25,9 @@ def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
         return _of_form(P, signs)
     faces = [(x, end) for x in system.states for end in system.domain[x]]
     values = [V.subs(point) for x, end in faces for point in _samples(signs, x, end)]
-    lowest = min(
-        (v for v in values if v.is_number and number(v).is_finite()),
-        key=lambda v: float(number(v)),
-        default=None,
-    )
-    if lowest is None or not number(lowest) > 0:
+    finite = [v for v in values if v.is_number and number(v).is_finite()]
+    lowest = min(finite, key=lambda v: float(number(v)), default=sp.S.Zero)
+    if not number(lowest) > 0:
         return None
     if _holds(V, lowest, faces, signs):
         return lowest
@@ -44,13 +40,12 @@ def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
 
 def _of_form(P: quadratic.Matrix, signs: Signs) -> sp.Expr | None:
     """Smallest value of a quadratic form on the faces of the domain; irrational ends are rounded inwards."""
-    inverse = fmpq_mat([[fmpq(c.numerator, c.denominator) for c in row] for row in P]).inv()
-    widths = [sp.Rational(int(inverse[k, k].p), int(inverse[k, k].q)) for k in range(len(P))]
+    inverse = sp.Matrix(P).inv()
     levels = []
-    for x, width in zip(signs.system.states, widths, strict=True):
+    for k, x in enumerate(signs.system.states):
         for end in map(abs, signs.system.domain[x]):
             within = end if end.is_Rational else sp.Rational(float(number(end).lower()) * (1 - 2.0**-40))
-            levels.append(within**2 / width)
+            levels.append(within**2 / inverse[k, k])
     return min(levels)
 
 

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import sympy as sp
 from flint import arb_mat, fmpq, fmpq_mat, fmpq_poly
+from scipy.linalg import solve_sylvester
 
 from drivers.errors import ModelError
 from hil.proof import quadratic
@@ -87,7 +87,9 @@ def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
     for shift in (0.0,) if right <= 0 else (0.0, 0.5 * right, 0.7 * right, 0.3 * right):
         moved = shift * np.eye(len(A))
         P = lyapunov_matrix(middle - moved)
-        if P is None or quadratic.definite([[Fraction(float(v)) for v in row] for row in P]) != (right < 0):
+        if P is None or quadratic.definite([[sp.Rational(float(v)) for v in row] for row in P]) != (
+            right < 0
+        ):
             continue
         PB = arb_mat(P.tolist()) * (arb_mat(A) - arb_mat(moved.tolist()))
         if quadratic.positive_definite((-(PB + PB.transpose())).tolist()):
@@ -97,11 +99,7 @@ def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
 
 def lyapunov_matrix(A: np.ndarray) -> np.ndarray | None:
     """Symmetric P with A^T P + P A = -1 in floating point, a guess to be proven; or None."""
-    one = np.eye(len(A))
-    try:
-        P = np.linalg.solve(np.kron(A.T, one) + np.kron(one, A.T), -one.reshape(-1)).reshape(one.shape)
-    except np.linalg.LinAlgError:
-        return None
+    P = solve_sylvester(A.T, A, -np.eye(len(A)))
     return (P + P.T) / 2 if np.isfinite(P).all() else None
 
 
@@ -202,6 +200,6 @@ def _rounded(A: sp.Matrix) -> sp.Matrix | None:
     for digits in (3, 5, 7, 9, 12, 15):
         unit = sp.Rational(10) ** (int(np.floor(np.log10(abs(P).max()))) - digits)
         R = sp.Matrix(A.rows, A.rows, lambda i, j, unit=unit: round(sp.Rational(P[i, j]) / unit) * unit)
-        if all(quadratic.definite(quadratic.fractions(S)) for S in (R, -(A.T * R + R * A))):
+        if all(quadratic.definite(S.tolist()) for S in (R, -(A.T * R + R * A))):
             return R
     return None

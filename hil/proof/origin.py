@@ -8,7 +8,6 @@ next to a derivative at t', would belong to two different points, and cells of t
 """
 
 from collections.abc import Sequence
-from functools import cache
 from math import lcm
 
 import sympy as sp
@@ -33,7 +32,7 @@ class Ray:
     """
 
     def __init__(self, g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights) -> None:
-        self.u = _units(len(states))
+        self.u = tuple(sp.Dummy(f"u{k}", real=True) for k in range(len(states)))
         there = {x: T**w * u for x, u, w in zip(states, self.u, weights, strict=True)}
         along = _without_t(sp.expand(g.xreplace(there)))
         self.powers: dict[int, sp.Expr] = {}
@@ -78,12 +77,6 @@ class Ray:
             last = self._derivatives[-1]
             self._derivatives.append(sp.nan if last.count_ops() > LONGEST else sp.diff(last, T))
         return self._derivatives[j]
-
-
-@cache
-def _units(n: int) -> tuple[sp.Symbol, ...]:
-    """Symbols u_0 .. u_n-1 of the direction of a ray, the same for all rays."""
-    return tuple(sp.Dummy(f"u{k}", real=True) for k in range(n))
 
 
 def _without_t(e: sp.Expr) -> sp.Expr:
@@ -132,26 +125,22 @@ def blown_up(
 
 
 def definite_near(
-    g: sp.Expr, states: Sequence[sp.Symbol], parameters: Ranges,
-    budget: Budget, limit: int = 1500, side: int = 0,
-) -> tuple[Cell, Weights] | None:  # fmt: skip
+    g: sp.Expr, states: Sequence[sp.Symbol], parameters: Ranges, budget: Budget, side: int = 0
+) -> tuple[Cell, Weights] | None:
     """Cell about the origin in which g > 0 except at the origin, or None.
 
     Parameters have ranges. `side` +1 or -1 restricts g to x > 0 or x < 0 (one state).
     """
     weights = weights_of(g, states)
-    if weights is None:
-        return None
-    forms = blown_up(g, states, weights, tuple(parameters))
-    if forms is None:
+    if weights is None or (forms := blown_up(g, states, weights, tuple(parameters))) is None:
         return None
     leading, c = forms
     ranges = tuple(parameters.values())
     sides: Cell = ((-1.0, 1.0),) * len(states)
     cells = faces(sides, range(len(states))) if side == 0 else [((float(side), float(side)),)]
-    if not positive([leading], [(*u, *ranges) for u in cells], budget, limit):
+    if not positive([leading], [(*u, *ranges) for u in cells], budget, 1500):
         return None
     for radius in RADII:
-        if positive([c], [(*u, *ranges, (0.0, radius)) for u in cells], budget, limit // 4):
+        if positive([c], [(*u, *ranges, (0.0, radius)) for u in cells], budget, 375):
             return tuple((-(radius**w), radius**w) for w in weights), weights
     return None

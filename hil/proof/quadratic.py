@@ -9,7 +9,6 @@ whole box.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from fractions import Fraction
 
 import numpy as np
 import sympy as sp
@@ -19,25 +18,13 @@ from sympy.polys.matrices import DomainMatrix
 from hil.proof.branch_and_bound import Budget, covered
 from hil.proof.interval import Ball, Cell, Enclosure, Ranges, ball, unsupported
 
-Matrix = list[list[Fraction]]
-
-
-def fractions(S: sp.Matrix) -> Matrix:
-    """SymPy matrix of rational numbers as nested lists of Fraction."""
-    return [[Fraction(int(c.p), int(c.q)) for c in S.row(k)] for k in range(S.rows)]
-
-
-def rational(value: Fraction) -> sp.Rational:
-    """Python Fraction as a SymPy Rational."""
-    return sp.Rational(value.numerator, value.denominator)
+Matrix = list[list[sp.Rational]]
 
 
 def form(g: sp.Expr, states: Sequence[sp.Symbol]) -> Matrix | None:
     """Symmetric S with g = x^T S x; None if g is not such a form with rational coefficients."""
     S = coefficients(g, states)
-    if S is None or any(not c.is_Rational for row in S for c in row):
-        return None
-    return fractions(sp.Matrix(S))
+    return None if S is None or any(not c.is_Rational for row in S for c in row) else S
 
 
 def coefficients(g: sp.Expr, states: Sequence[sp.Symbol]) -> list[list[sp.Expr]] | None:
@@ -55,73 +42,61 @@ def coefficients(g: sp.Expr, states: Sequence[sp.Symbol]) -> list[list[sp.Expr]]
     return S
 
 
-def decompose(S: Matrix) -> tuple[list[Fraction], Matrix] | list[Fraction]:
-    """Weights d > 0 and rows l of L^T with x^T S x = sum d_i (l_i x)^2; or an x with x^T S x < 0.
+def decompose(S: Matrix) -> tuple[dict[int, list[sp.Rational]], list[sp.Rational] | None]:
+    """Rows l_k of L^T with x^T S x = sum d_k (l_k x)^2, d_k > 0; and an x with x^T S x < 0, or None.
 
     Rows with d = 0 are omitted: with fewer rows than states S is semidefinite.
     """
     n = len(S)
     rest = [row[:] for row in S]
-    d: list[Fraction] = []
-    lines: Matrix = []
-    order: list[int] = []
+    lines: dict[int, list[sp.Rational]] = {}
     for k in range(n):
         pivot = rest[k][k]
         if pivot < 0:
-            return _back(_unit(n, k), lines, order)
+            return lines, _back(_unit(n, k), lines)
         if pivot == 0:
             if any(rest[k]):
                 j = next(j for j in range(n) if rest[k][j])
                 x = _unit(n, j)  # (t e_k + e_j): 2 t s + q, with s != 0
                 x[k] = -(rest[j][j] + 1) / (2 * rest[k][j])
-                return _back(x, lines, order)
+                return lines, _back(x, lines)
             continue
-        line = [v / pivot for v in rest[k]]
+        line = lines[k] = [v / pivot for v in rest[k]]
         for i in range(n):
             if factor := rest[i][k]:
                 rest[i] = [a - factor * b for a, b in zip(rest[i], line, strict=True)]
-        d.append(pivot)
-        lines.append(line)
-        order.append(k)
-    return d, lines
+    return lines, None
 
 
-def _unit(n: int, k: int) -> list[Fraction]:
-    return [Fraction(int(i == k)) for i in range(n)]
+def _unit(n: int, k: int) -> list[sp.Rational]:
+    return [sp.Integer(i == k) for i in range(n)]
 
 
-def _back(x: list[Fraction], lines: Matrix, order: list[int]) -> list[Fraction]:
+def _back(x: list[sp.Rational], lines: dict[int, list[sp.Rational]]) -> list[sp.Rational]:
     """Set the eliminated states of x so that x^T S x reduces to the part not yet decomposed."""
-    for line, k in zip(reversed(lines), reversed(order), strict=True):
-        x[k] -= sum((a * b for a, b in zip(line, x, strict=True)), Fraction(0))
+    for k, line in reversed(lines.items()):
+        x[k] -= sum(a * b for a, b in zip(line, x, strict=True))
     return x
 
 
 def definite(S: Matrix) -> bool:
     """True if the symmetric S is positive definite: x^T S x > 0 for all x except zero; exact."""
-    parts = decompose(S)
-    return isinstance(parts, tuple) and len(parts[0]) == len(S)
+    return falls(S) is None
 
 
 def lines(S: Matrix, states: Sequence[sp.Symbol]) -> list[sp.Expr] | None:
     """Linear forms of the states that are all zero exactly where x^T S x = 0; None if it may be negative."""
-    parts = decompose(S)
-    if not isinstance(parts, tuple):
+    rows, negative = decompose(S)
+    if negative is not None:
         return None
-    return [sp.Add(*(rational(c) * x for c, x in zip(line, states, strict=True) if c)) for line in parts[1]]
+    return [sp.Add(*(c * x for c, x in zip(line, states, strict=True))) for line in rows.values()]
 
 
-def falls(S: Matrix) -> list[Fraction] | None:
+def falls(S: Matrix) -> list[sp.Rational] | None:
     """Vector x != 0 with x^T S x <= 0; None if S is positive definite."""
-    parts = decompose(S)
-    if not isinstance(parts, tuple):
-        return parts
-    n = len(S)
-    if len(parts[0]) == n:
-        return None
-    order = [next(k for k, c in enumerate(line) if c) for line in parts[1]]
-    free = next(k for k in range(n) if k not in order)
-    return _back(_unit(n, free), parts[1], order)
+    rows, x = decompose(S)
+    free = next((k for k in range(len(S)) if k not in rows), None)
+    return x if x is not None or free is None else _back(_unit(len(S), free), rows)
 
 
 def leading_minors(S: Sequence[Sequence[sp.Expr]]) -> Iterator[sp.Expr]:
@@ -189,6 +164,4 @@ def convex_definite(
     if any(unsupported(h) for row in hessian for h in row):
         return False
     entries, box = enclosures(hessian, (*states, *ranges)), [ball(*side) for side in sides]
-    return covered(
-        [tuple(ranges.values())], lambda p: positive_definite(entries([*box, *p])), budget, 200
-    )  # fmt: skip
+    return covered([tuple(ranges.values())], lambda p: positive_definite(entries([*box, *p])), budget, 200)

@@ -49,10 +49,12 @@ class Signs:
             return True
         if not self.enclosable(g):
             return not self.own(g) and self._for_all_positive(g)
-        cell = tuple(self.sides[x] for x in self.own(g))
-        if not all(math.isfinite(end) for side in cell for end in side):
-            return self._positive_everywhere(g)
-        return self._covered(g, self.own(g), [cell], 3000)
+        states, ranges = self.own(g), self._ranges(g)
+        whole = {v: self.sides[v] for v in (*states, *ranges)}
+        if Enclosure(g, tuple(whole)).on(tuple(whole.values())) > 0:
+            return True
+        outer = self._outer(g, states, ranges)
+        return outer is not None and self._covered(g, states, [outer], 3000)
 
     def sign(self, c: sp.Expr) -> int:
         """Sign of a function c of the parameters for all their values: 1 or -1 if proven, else 0."""
@@ -124,7 +126,7 @@ class Signs:
     def _definite_form(self, S: list[list[sp.Expr]], g: sp.Expr) -> bool:
         """Prove a quadratic form definite: exactly, over ranges, or by leading minors for all parameters."""
         if all(c.is_Rational for row in S for c in row):
-            return quadratic.definite(quadratic.fractions(sp.Matrix(S)))
+            return quadratic.definite(S)
         if self.enclosable(g):
             return quadratic.definite_form(S, self._ranges(g), self.budget)
         return all(self.sign(minor) == 1 for minor in quadratic.leading_minors(S))
@@ -152,22 +154,13 @@ class Signs:
         for k, end in enumerate(self.system.domain[x]):
             if end.is_infinite or sp.expand(g.subs(x, end)) != 0:
                 continue
-            moved = sp.expand_trig(g.subs(x, x + end))
-            near = origin.definite_near(moved, (x,), self._ranges(g), self.budget, side=1 if k == 0 else -1)
+            inward, moved = 1 - 2 * k, sp.expand_trig(g.subs(x, x + end))
+            near = origin.definite_near(moved, (x,), self._ranges(g), self.budget, inward)
             if near is None:
                 return None
-            reach = sp.Rational(near[0][0][1])
-            kept = end + reach if k == 0 else end - reach
+            kept = end + inward * sp.Rational(near[0][0][1])
             trimmed[k] = outward(kept, kept)[k]
         return trimmed[0], trimmed[1]
-
-    def _positive_everywhere(self, g: sp.Expr) -> bool:
-        states, ranges = self.own(g), self._ranges(g)
-        whole = {v: self.sides[v] for v in (*states, *ranges)}
-        if Enclosure(g, tuple(whole)).on(tuple(whole.values())) > 0:
-            return True
-        outer = self._outer(g, states, ranges)
-        return outer is not None and self._covered(g, states, [outer], 3000)
 
     def _covered(self, g: sp.Expr, states: tuple[sp.Symbol, ...], cells: list[Cell], limit: int) -> bool:
         """Prove that g > 0 on cells of its states, for all values of its parameters."""
@@ -251,10 +244,6 @@ class Signs:
                 return (self.own(h),)
         elif self.positive(h):
             return NOWHERE
-        return self._term_by_term(h)
-
-    def _term_by_term(self, h: sp.Expr) -> Zeros | None:
-        """Zeros of a sum whose terms are all proven nonnegative; else None."""
         terms = sp.Add.make_args(sp.expand(h))
         return _meet(self._structure(t) or self._by_factors(t) for t in terms) if len(terms) > 1 else None
 

@@ -20,17 +20,14 @@ _BOUNDED = (sp.sin, sp.cos, sp.tanh)
 
 
 def definite_far(
-    g: sp.Expr, states: Sequence[sp.Symbol], others: Mapping[sp.Symbol, tuple[float, float]], budget: Budget,
-    limit: int = 1500,
-) -> tuple[float, ...] | None:  # fmt: skip
+    g: sp.Expr, states: Sequence[sp.Symbol], others: Mapping[sp.Symbol, tuple[float, float]], budget: Budget
+) -> tuple[float, ...] | None:
     """Radii r_i such that g > 0 if some |x_i| >= r_i, and g is radially unbounded; or None.
 
     `others` are bounded variables of g with their ranges. Each power of the radius is at least one.
     """
-    masks: dict[sp.Expr, sp.Symbol] = {}
-    for node in sorted(g.atoms(*_BOUNDED), key=sp.count_ops, reverse=True):
-        if not node.free_symbols.isdisjoint(states):
-            masks[node] = sp.Dummy(f"z{len(masks)}", real=True)
+    nodes = sorted(g.atoms(*_BOUNDED), key=sp.count_ops, reverse=True)
+    masks = {n: sp.Dummy("z", real=True) for n in nodes if not n.free_symbols.isdisjoint(states)}
     masked = sp.expand(g.xreplace(masks))
     signless = {sp.Abs(x): sp.Dummy(f"abs_{x}", positive=True) for x in states}
     try:
@@ -46,9 +43,8 @@ def definite_far(
         return None
     D = lcm(*tops)
     weights = [D // e for e in tops]
-    if D > HIGHEST_ORDER or any(
-        sum(w * d for w, d in zip(weights, degree, strict=True)) > D for degree in degrees
-    ):
+    highest = max(sum(w * d for w, d in zip(weights, degree, strict=True)) for degree in degrees)
+    if D > HIGHEST_ORDER or highest > D:
         return None
     s = sp.Dummy("s", positive=True)
     u = tuple(sp.Dummy(f"u_{x}", real=True) for x in states)
@@ -58,6 +54,6 @@ def definite_far(
     sides: Cell = (*(((-1.0, 1.0),) * n), *(((-1.0, 1.0),) * len(masks)), *others.values())
     h = Enclosure(scaled, variables)
     for radius in RADII:
-        if positive([h], [(*c, (0.0, 1 / radius)) for c in faces(sides, range(n))], budget, limit // 4):
+        if positive([h], [(*c, (0.0, 1 / radius)) for c in faces(sides, range(n))], budget, 375):
             return tuple(radius**w for w in weights)
     return None

@@ -5,6 +5,7 @@ This module proves no sign itself (see hil.proof.signs); each result states its 
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import sympy as sp
@@ -189,23 +190,14 @@ def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
 
 def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
     """Try the V that the linearisation proposes on the domain, then on smaller boxes."""
-    V = signs.budget.within(0.6, lambda: lyapunov_function(signs.system), None)
-    if V is None:
-        return _NO_V, _INDIRECT
-    for smaller, share in [(signs, 0.6), *((each, 0.95) for each in _shrunk(signs))]:
-        if (found := _proven(V, smaller, share)) is not None:
-            return found
+    budget, none = signs.budget, (None, _NO_V)
+    V = budget.within(0.6, lambda: lyapunov_function(signs.system), None)
+    for smaller, share in [(signs, 0.6), *((each, 0.95) for each in _shrunk(signs))] if V is not None else []:
+        proof, certificate = budget.within(share, partial(_certificate, V, smaller), none)
+        if proof is not None and proof.decrease is Decrease.STRICT:
+            equilibrium = budget.within(1.0, partial(_stability, proof), _INDIRECT)
+            return replace(certificate, V=smaller.system.shown(V)), equilibrium
     return _NO_V, _INDIRECT
-
-
-def _proven(V: sp.Expr, signs: Signs, share: float) -> tuple[CertificateFinding, EquilibriumFinding] | None:
-    """Try a proposed V on the domain of `signs`; None if dV/dt < 0 is not shown there."""
-    none: _Shown = (None, _NO_V)
-    proof, certificate = signs.budget.within(share, lambda: _certificate(V, signs), none)
-    if proof is None or proof.decrease is not Decrease.STRICT:
-        return None
-    equilibrium = signs.budget.within(1.0, lambda: _stability(proof), _INDIRECT)
-    return replace(certificate, V=signs.system.shown(V)), equilibrium
 
 
 def _stable_in_reversed_time(V: sp.Expr, near: Signs) -> bool:

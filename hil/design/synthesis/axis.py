@@ -9,9 +9,10 @@ The synthesis uses this rational model; its result is judged on the exact axis w
 """
 
 from collections.abc import Sequence
-from math import comb, factorial
 
 import numpy as np
+from scipy.signal import tf2ss
+from scipy.special import comb, factorial
 
 from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
@@ -28,14 +29,10 @@ def pade(delay_s: float, order: int) -> LinearSystem:
     """Pade approximation of a delay, exp(-s T): all-pass, sum over k of c_k (-+ s T)^k."""
     if delay_s == 0.0:
         return static(np.eye(1))
-    n = order
-    c = np.array([comb(n, k) * factorial(2 * n - k) / factorial(n) for k in range(n, -1, -1)])
-    denominator, numerator = c, c * [(-1) ** k for k in range(n, -1, -1)]  # of s T
-    A = np.eye(n, k=-1)
-    A[0] = -denominator[1:]
-    D = numerator[0]
-    C = numerator[1:] - D * denominator[1:]
-    return LinearSystem(A / delay_s, np.eye(n)[:, :1] / delay_s, C[None], np.array([[D]]))
+    k = np.arange(order, -1, -1)
+    c = comb(order, k) * factorial(2 * order - k) / factorial(order)
+    A, B, C, D = tf2ss(c * (-1.0) ** k, c)  # of s T
+    return LinearSystem(A / delay_s, B / delay_s, C, D)
 
 
 def drive(axis: DesignAxis) -> LinearSystem:

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 
 from drivers.arrays import Array, ComplexArray
 from drivers.errors import SynthesisError
+from hil.design.synthesis import mu
 from hil.design.synthesis.hinf import hinf
 from hil.design.synthesis.mu import Block, UpperBound, upper_bound
 from hil.design.synthesis.structured import Structured, well_scaled
@@ -118,16 +119,6 @@ def scaled(problem: Structured, scales: list[LinearSystem]) -> LinearSystem:
     return well_scaled(widened.after(right.beside(static(np.eye(rest_in)))))
 
 
-def nominal_controller(problem: Structured) -> LinearSystem:
-    """H-infinity controller of the axis without its uncertainty, the start of the iteration.
-
-    Raises the SynthesisError of `hinf`.
-    """
-    n = problem.uncertain
-    P = problem.plant
-    return hinf(P._replace(B=P.B[:, n:], C=P.C[n:], D=P.D[n:, n:]), problem.n_y, 1).K
-
-
 def dk_iteration(
     problem: Structured,
     K: LinearSystem,
@@ -180,13 +171,11 @@ def _matters(M: ComplexArray, found: Bounds, blocks: list[Block]) -> Array:
     (N, blocks - 1); the square root, because the fit squares it. Where a scale has little effect, mainly at
     low frequency, its fit may be poor.
     """
-    outputs = [k for k, block in enumerate(blocks) for _ in range(block.columns)]
-    inputs = [k for k, block in enumerate(blocks) for _ in range(block.rows)]
     rise = np.zeros((len(M), len(blocks) - 1))
     for i in range(len(blocks) - 1):
         for factor in (1.5, 1.0 / 1.5):
             D = found.upper.D.copy()
             D[:, i] *= factor
-            sigma = np.linalg.svd(D[:, outputs, None] * M / D[:, None, inputs], compute_uv=False)[:, 0]
+            sigma = np.linalg.svd(mu.scaled(M, D, blocks), compute_uv=False)[:, 0]
             rise[:, i] += np.maximum(sigma - found.upper.bound, 0.0) / found.peak
     return np.sqrt(rise * (found.upper.bound / found.peak)[:, None] ** 2) + 1e-4

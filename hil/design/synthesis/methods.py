@@ -16,14 +16,7 @@ from drivers.arrays import Array
 from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis, UncertaintyRanges
 from hil.design.synthesis.axis import generalised_plant, sampled_problem
-from hil.design.synthesis.dk import (
-    bounds_over_frequency,
-    dk_iteration,
-    fitted_scales,
-    nominal_controller,
-    scaled,
-    with_own,
-)
+from hil.design.synthesis.dk import bounds_over_frequency, dk_iteration, fitted_scales, scaled, with_own
 from hil.design.synthesis.hinf import Synthesis, hinf
 from hil.design.synthesis.multiplicative import CORNER, Relative, covered
 from hil.design.synthesis.norm import norm
@@ -178,7 +171,7 @@ def design_mu(
             "lump_lag: true, allowed: false, because the lag has its own range; or use `hil design hinf`"
         )
     problem = structured_plant(design, axis, design.uncertainty, measured)
-    start = nominal_controller(problem)
+    start = hinf(generalised_plant(design, axis), problem.n_y, 1).K  # of the axis without its uncertainty
     slow = 2.0 * SLOW * judge(design, axis, start).margins.crossover_rad_s
     within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's
     grid: Array = np.asarray(np.geomspace(*SPAN, POINTS) * pi * design.rate_Hz)

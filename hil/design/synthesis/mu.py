@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, ComplexArray
+from drivers.arrays import Array, ComplexArray, Ints
 from drivers.errors import ModelError
 
 ZERO = 1e-6
@@ -54,14 +54,15 @@ def upper_bound(
     blocks : in the order of the rows and columns of M
     accuracy : relative step of the bound that ends the iteration
     """
-    outputs, inputs = _slices(M, blocks)
+    outputs, inputs = block_of_each(blocks)
+    if M.shape[1:] != (len(outputs), len(inputs)):
+        raise ModelError(f"blocks for a matrix of {len(outputs)} x {len(inputs)}, given {M.shape[1:]}")
     balance = _balanced(M, outputs, inputs)
-    A = _scaled(M, balance, outputs, inputs)
+    A = scaled(M, balance, blocks)
     n, N = len(blocks), len(A)
-    gains = np.stack([_dagger(A[:, o]) @ A[:, o] for o in outputs], 1)  # (N, n, inputs, inputs)
-    units = np.zeros((n, A.shape[2], A.shape[2]))
-    for k, i in enumerate(inputs):
-        units[k, i, i] = np.eye(i.stop - i.start)
+    parts = [A[:, outputs == k] for k in range(n)]
+    gains = np.stack([_dagger(part) @ part for part in parts], 1)  # (N, n, inputs, inputs)
+    units = np.array([np.diag(inputs == k) for k in range(n)], float)
     x = np.ones((N, n - 1))  # d_1^2 .. d_(n-1)^2; d_n = 1
     best, best_x = _proven(x, gains, inputs), x.copy()
     beta = highest = 1.05 * best + 1e-300
@@ -86,50 +87,41 @@ def upper_bound(
     return UpperBound(best, D * balance / balance[:, -1:])
 
 
-def _slices(M: ComplexArray, blocks: list[Block]) -> tuple[list[slice], list[slice]]:
-    outputs, inputs = [], []
-    row = column = 0
-    for block in blocks:
-        outputs.append(slice(row, row := row + block.columns))
-        inputs.append(slice(column, column := column + block.rows))
-    if M.shape[1:] != (row, column):
-        raise ModelError(f"blocks for a matrix of {row} x {column}, given {M.shape[1]} x {M.shape[2]}")
-    return outputs, inputs
+def block_of_each(blocks: list[Block]) -> tuple[Ints, Ints]:
+    """Index of the block of each output, and of each input, of M."""
+    count = np.arange(len(blocks))
+    return np.repeat(count, [b.columns for b in blocks]), np.repeat(count, [b.rows for b in blocks])
+
+
+def scaled(M: ComplexArray, D: Array, blocks: list[Block]) -> ComplexArray:
+    """D M D^-1 (N, outputs, inputs) with a scale D (N, blocks) of each block."""
+    outputs, inputs = block_of_each(blocks)
+    return np.asarray(D[:, outputs, None] * M / D[:, None, inputs], complex)
 
 
 def _dagger(M: ComplexArray) -> ComplexArray:
     return M.conj().swapaxes(-1, -2)
 
 
-def _balanced(M: ComplexArray, outputs: list[slice], inputs: list[slice]) -> Array:
+def _balanced(M: ComplexArray, outputs: Ints, inputs: Ints) -> Array:
     """Scales (N, blocks) that minimise the Frobenius norm of D M D^-1 off the diagonal (Osborne 1960)."""
-    power = np.array([[(np.abs(M[:, o, i]) ** 2).sum((1, 2)) for i in inputs] for o in outputs])
+    n = outputs[-1] + 1
+    of_output, of_input = (np.eye(n)[each] for each in (outputs, inputs))
+    power = np.einsum("Noi,oj,ik->jkN", np.abs(M) ** 2, of_output, of_input)
     tiny = 1e-28 * power.max((0, 1)) + 1e-300  # a block that nothing reaches keeps a scale
-    power = np.where(np.eye(len(outputs))[:, :, None] > 0, 0.0, power + tiny)
-    d2 = np.ones((len(outputs), len(M)))
-    for _ in range(30):
-        for k in range(len(outputs)):
-            d2[k] = np.sqrt((power[:, k] * d2).sum(0) / (power[k] / d2).sum(0)) if len(outputs) > 1 else 1.0
+    power = np.where(np.eye(n)[:, :, None] > 0, 0.0, power + tiny)
+    d2 = np.ones((n, len(M)))
+    for k in [*range(n)] * 30 if n > 1 else []:
+        d2[k] = np.sqrt((power[:, k] * d2).sum(0) / (power[k] / d2).sum(0))
     return np.asarray(np.sqrt(d2 / d2[-1]).T, float)
 
 
-def _scaled(M: ComplexArray, D: Array, outputs: list[slice], inputs: list[slice]) -> ComplexArray:
-    return np.asarray(_each(D, outputs)[:, :, None] * M / _each(D, inputs)[:, None, :], complex)
-
-
-def _each(x: Array, parts: list[slice]) -> Array:
-    """Values of n blocks (N, n), repeated for each row or column of a block."""
-    return np.repeat(x, [part.stop - part.start for part in parts], axis=1)
-
-
-def _proven(x: Array, gains: ComplexArray, inputs: list[slice]) -> Array:
+def _proven(x: Array, gains: ComplexArray, inputs: Ints) -> Array:
     """Smallest beta (N,), a bound on mu, that the scales x prove."""
     d2 = np.hstack([x, np.ones((len(x), 1))])
-    left = np.einsum("Nk,Nkij->Nij", d2, gains)
-    d = np.sqrt(_each(d2, inputs))
-    return np.asarray(
-        np.sqrt(np.maximum(np.linalg.eigvalsh(left / (d[:, :, None] * d[:, None, :]))[:, -1], 0.0))
-    )
+    d = np.sqrt(d2[:, inputs])
+    left = np.einsum("Nk,Nkij->Nij", d2, gains) / (d[:, :, None] * d[:, None, :])
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(left)[:, -1], 0.0))
 
 
 def _newton_step(X: ComplexArray, basis: ComplexArray, x: Array) -> Array:

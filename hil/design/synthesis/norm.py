@@ -38,12 +38,10 @@ def norm(system: LinearSystem) -> float:
         eigenvalues = np.linalg.eigvals(_hamiltonian(system, gamma))
         near = np.abs(eigenvalues.real) <= AXIS * np.abs(eigenvalues).max() + 1e-6 * np.abs(eigenvalues)
         crossings = np.unique(np.abs(eigenvalues[near].imag))
-        if len(crossings) == 0:
-            return best
         middles = np.concatenate([crossings, 0.5 * (crossings[1:] + crossings[:-1])])
-        largest = float(gains(system, middles).max())
+        largest = float(gains(system, middles).max(initial=0.0))
         if largest <= gamma:
-            return best
+            break
         best = largest
     return best
 

@@ -153,30 +153,20 @@ def wired(parts: dict[str, tuple[LinearSystem, Sum]], inputs: list[str], outputs
 
     Raises ModelError for a ring of parts without states that has no solution.
     """
-    names = list(parts)
-    body = static(np.zeros((0, 0)))
+    names, m = list(parts), len(inputs)
+    body = static(np.eye(m))
     for system, _ in parts.values():
         body = body.beside(system)
 
     def rows(sums: list[Sum], signals: list[str]) -> Array:
         return np.array([[one.get(signal, 0.0) for signal in signals] for one in sums])
 
-    known = set(names) | set(inputs)
     feeds = [feed for _, feed in parts.values()]
-    assert all(set(one) <= known for one in [*feeds, *outputs]), "a signal without a source"
     # from [inputs; fed] to [outputs; parts' outputs], then parts' outputs back to what they feed
-    m, n = len(inputs), len(names)
-    into = static(np.hstack([np.zeros((n, m)), np.eye(n)]))
-    through = body.after(into)
-    direct = np.hstack([rows(outputs, inputs), np.zeros((len(outputs), n))])
-    system = through._replace(
-        C=np.vstack([rows(outputs, names) @ through.C, through.C]),
-        D=np.vstack([direct + rows(outputs, names) @ through.D, through.D]),
-    )
-    # fed = F parts + E inputs; E enters before the loop is closed
-    F, E = rows(feeds, names), rows(feeds, inputs)
-    source = static(np.block([[np.eye(m), np.zeros((m, n))], [E, np.eye(n)]]))
-    return system.after(source).closed_with(static(F))
+    E, F, n = rows(feeds, inputs), rows(feeds, names), len(names)
+    into = static(np.block([[np.eye(m), np.zeros((m, n))], [E, np.eye(n)]]))
+    out = static(np.block([[rows(outputs, inputs), rows(outputs, names)], [np.zeros((n, m)), np.eye(n)]]))
+    return out.after(body).after(into).closed_with(static(F))
 
 
 def well_scaled(system: LinearSystem) -> LinearSystem:

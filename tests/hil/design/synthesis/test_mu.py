@@ -67,5 +67,5 @@ def test_mu_upper_bound_is_as_tight_as_that_of_slicot():
 
 
 def test_mu_blocks_that_do_not_fit_the_matrix_are_refused():
-    with pytest.raises(ModelError, match="blocks for a matrix of 1 x 1, given 2 x 2"):
+    with pytest.raises(ModelError, match="blocks for a matrix of 1 x 1"):
         upper_bound(one(np.eye(2)), [SCALAR])

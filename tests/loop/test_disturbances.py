@@ -144,7 +144,7 @@ def forces(c: Configuration, mobility: Array, count: int) -> Iterator[WrenchStep
 
 def hardest(c: Configuration, loop: Sampled, d: float, ticks: int) -> Array:
     """Signs (ticks,) of an acceleration d, m/s^2, that maximise the loop's last |e|."""
-    h = loop.impulse_responses()[:, 0]
+    h = loop.responses(0)[1:, 0]
     pattern = np.sign(np.resize(np.append(h[:ticks], np.zeros(max(0, ticks - len(h)))), ticks)[::-1])
     law = c.controller
     if not isinstance(law, SlidingModeSettings):

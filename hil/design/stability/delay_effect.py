@@ -82,10 +82,10 @@ def delay_effect(
     """
     T = axis.period_s
     worst = np.zeros((3, 6))
-    responses = of_each(loops, Sampled.impulse_responses)
+    responses = of_each(loops, lambda loop: loop.responses(0)[1:])
     paths = [axis]
     if observer is not None:
-        responses += of_each(loops, Sampled.seen_responses)
+        responses += of_each(loops, lambda loop: loop.responses(3))
         paths.append(axis._replace(transport_s=observer.transport_s, lag_s=observer.lag_s))
     remembered = max(len(h) for h in responses) - 1
     at_once = int(np.ceil(_BLOCK_s / T))

@@ -64,8 +64,7 @@ def build_watch(
     if dynamics.pose:
         disturbance[3:] = settings.disturbance_rad_s2
         J = jacobian(platform, *home)
-        columns = [np.abs(solve(J, leg)) for leg in np.eye(6)]
-        noise = columns[0] + columns[1] + columns[2] + columns[3] + columns[4] + columns[5]
+        noise = sum((np.abs(solve(J, leg)) for leg in np.eye(6)), np.zeros(6))
     h = horizon_s(controller.lookahead)
     disturbance *= 1.0 + h * (K_D + K_P * h / 2.0)
     g = np.sqrt(P[:, 1, 1])

@@ -59,22 +59,12 @@ def sampled_axis(
     late = max(whole * period_s - transport_s, 0.0)  # so long before the sample the newer input already acts
     _, newer = held(A, B, late)
     Phi, both = held(A, B, period_s)
-    older = both - newer
-    # the last inputs, the newest first
-    size = n + whole * m
-    F, G = np.zeros((size, size)), np.zeros((size, m))
-    F[:n, :n] = Phi
-    if whole == 0:
-        G[:n] = both
-    else:
-        F[:n, size - m :] += older
-        if whole == 1:
-            G[:n] += newer
-        else:
-            F[:n, size - 2 * m : size - m] += newer
-        F[n + m :, n : size - m] = np.eye((whole - 1) * m)
-        G[n : n + m] = np.eye(m)
-    return LinearSystem(F, G, np.eye(2 * m, size), np.zeros((2 * m, m)), period_s)
+    end = n + (whole + 1) * m  # columns: the state, then the inputs from the newest to the oldest
+    FG = np.vstack([np.zeros((n, end)), np.eye(whole * m, end, k=n)])
+    FG[:n, :n], FG[:n, end - m :] = Phi, both - newer
+    FG[:n, end - 2 * m : end - m] += newer  # zero without a delay
+    F, G = np.delete(FG, np.s_[n : n + m], axis=1), FG[:, n : n + m]
+    return LinearSystem(F, G, np.eye(2 * m, end - m), np.zeros((2 * m, m)), period_s)
 
 
 def disturbed(axis: LinearSystem) -> LinearSystem:
@@ -276,25 +266,18 @@ class Sampled(NamedTuple):
         area = np.where(same, both / 2.0, (first**2 + last**2) / (2.0 * np.where(same, 1.0, both)))
         return np.asarray(T * area.sum(axis=0), float)
 
-    def impulse_responses(self) -> Array:
-        """Responses of e, de and u (n, 3) at the samples to a disturbance d = 1 for one period."""
-        return np.asarray(self._answers(self.loop.B[:, :1])[..., 0], float)
-
-    def seen_responses(self) -> Array:
-        """Responses of e, de, u (n, 3) to a unit pulse of one period that the observer alone sees."""
-        if self.loop.B.shape[1] < 4:
+    def responses(self, k: int) -> Array:
+        """Responses of e, de and u (n, 3) to a unit pulse of input k of `loop`; 0 if it has no such input."""
+        if k >= self.loop.B.shape[1]:
             return np.zeros((1, 3))
-        return np.concatenate([self.loop.D[None, :, 3], self._answers(self.loop.B[:, 3:])[..., 0]])
+        return np.vstack([self.loop.D[:, k], self._answers(self.loop.B[:, k : k + 1])[..., 0]])
 
     def measured_gains(self, slope: float = 0.0, *, rate: bool = False) -> Array:
         """Peak gains (4,) to |e|, |de|, |u|, |de + slope e| from a measurement error of e.
 
         rate: from a measurement error of de.
         """
-        k = 1 + rate
-        through = self.loop.D[:, k : k + 1]
-        h = _rows(slope) @ np.concatenate([through[None], self._answers(self.loop.B[:, k : k + 1])])
-        return np.asarray(np.abs(h[..., 0]).sum(axis=0), float)
+        return np.asarray(np.abs(self.responses(1 + rate) @ _rows(slope).T).sum(axis=0), float)
 
     def _answers(self, x: Array) -> Array:
         """Responses of e, de and u (n, 3, m) at n samples to initial states x (order, m), until decayed."""

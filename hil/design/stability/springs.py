@@ -84,21 +84,22 @@ class Springs(NamedTuple):
             law = law._replace(B=law.B @ seen, D=law.D @ seen)
         return law, sampled_axis(axis.transport_s, lag(axis.lag_s), T, axis.gain * self.mobility, self.own)
 
+    def closed(self, axis: Axis) -> LinearSystem:
+        """Sampled closed loop, whose first states are [x; x']."""
+        law, robot = self.loop(axis)
+        return robot._replace(C=-robot.C).closed_with(law)
+
     def growth(self, axis: Axis) -> float:
         """Largest pole magnitude |z| of the sampled loop; below 1 the loop is stable."""
-        law, robot = self.loop(axis)
-        return float(np.abs(robot._replace(C=-robot.C).closed_with(law).poles()).max())
+        return float(np.abs(self.closed(axis).poles()).max())
 
     def gain_up(self, axis: Axis) -> float:
         """Factor on all gains of the law, up to 1000, at which a stable loop becomes unstable."""
 
         def grown(power: float) -> float:
             k = 10.0**power
-            scaled = (k * each for each in (self.law, self.damping, self.integral))
-            return (
-                self._replace(**dict(zip(("law", "damping", "integral"), scaled, strict=True))).growth(axis)
-                - 1.0
-            )
+            stiffer = self._replace(law=k * self.law, damping=k * self.damping, integral=k * self.integral)
+            return stiffer.growth(axis) - 1.0
 
         return float(10.0 ** root(grown, 0.0, 3.0))
 
@@ -107,13 +108,10 @@ class Springs(NamedTuple):
 
         J (6, 6): Jacobian of the leg lengths. The force is held for each period.
         """
-        law, robot = self.loop(axis)
-        T, size = axis.period_s, 12
-        A = robot._replace(C=-robot.C).closed_with(law).A
+        T, A = axis.period_s, self.closed(axis).A
         x, error = np.zeros((len(A), 3)), np.zeros(6)
-        x[:6], x[6:size] = T * T / 2.0 * self.mobility[:, :3], T * self.mobility[:, :3]
-        slowest = -np.log(float(np.abs(np.linalg.eigvals(A)).max()))
-        for _ in range(min(20_000, ceil(12.0 / slowest) + len(A))):
+        x[:6], x[6:12] = T * T / 2.0 * self.mobility[:, :3], T * self.mobility[:, :3]
+        for _ in range(min(20_000, ceil(-12.0 / np.log(self.growth(axis))) + len(A))):
             error += np.linalg.norm(J @ x[:6], axis=1)
             x = A @ x
         return float(error.max())

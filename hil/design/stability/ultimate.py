@@ -172,12 +172,11 @@ def ultimate(
 
 def _worst(d: Array) -> list[int]:
     """Indices of instants at which d (n, 6) of an axis is largest; for a constant d, some along the path."""
-    chosen: set[int] = set()
-    for of_axis in d.T:
-        if not of_axis.max() - of_axis.min() > ROUNDING:
-            chosen.update(range(0, len(d), max(1, len(d) // SPREAD)))
-        else:  # of equal ones the last
-            chosen.add(int(np.flatnonzero(~(of_axis < of_axis.max() - ROUNDING))[-1]))
+    chosen = (
+        set(range(0, len(d), max(1, len(d) // SPREAD))) if (np.ptp(d, axis=0) <= ROUNDING).any() else set()
+    )
+    for of_axis in d.T[np.ptp(d, axis=0) > ROUNDING]:  # of equal ones the last
+        chosen.add(int(np.flatnonzero(of_axis >= of_axis.max() - ROUNDING)[-1]))
     return sorted(chosen)
 
 
@@ -205,19 +204,16 @@ def _bound(s: Survey, gains: Array, late: DelayEffect, extra: Extra) -> Ultimate
     if size >= 1.0:
         return _too_much(size, extra)
     for _ in range(1000):
-        _, rate, u = ends + by_d @ d
+        error, rate, u = ends + by_d @ d
         more = fixed + by_u @ u + by_rate @ rate + by_itself @ d + extra.alpha * u.max()
-        grown, d = float(np.max(more - d)), more
-        if grown <= 1e-9 * float(d.max()):
+        if np.max(more - d) <= 1e-9 * more.max():
             break
+        d = more
     else:
         return _too_much(size, extra)
-    error, rate, _ = ends + by_d @ d
-    aged = error - (late.error + extra.error + gains[0] * d)
-    exact = bool(s.spread.max() <= EXACT)
     return Ultimate(
-        s.gamma, exact, d, extra.pushed, extra.drives, error, rate, late.error, late.rate, s.condition,
-        extra.effort, aged,
+        s.gamma, bool(s.spread.max() <= EXACT), d, extra.pushed, extra.drives, error, rate, late.error,
+        late.rate, s.condition, extra.effort, error - (late.error + extra.error + gains[0] * d),
     )  # fmt: skip
 
 
@@ -229,13 +225,10 @@ def in_words(error: Array, axes: AxisSpace) -> str:
 
 
 def _too_much(size: float, extra: Extra) -> str:
-    lossy, old = bool(extra.lost.any()), extra.aged is not None
-    losses = ", together with transmission losses at reversals" if lossy else ""
-    losses += ", together with feedback as old as limits.stale_warn_ticks allows," if old else ""
-    less = "a transmission with lower losses, " if lossy else ""
-    fresh = "limits.stale_warn_ticks 1, " if old else ""
-    shown = f"{ceil(1e3 * size) / 1e3:g}" if size >= 1.0 else "almost 1"
+    lossy = "a transmission with lower losses, " if extra.lost.any() else ""
+    fresh = "limits.stale_warn_ticks 1, " if extra.aged is not None else ""
     return (
-        f"no bound: the force errors of a wrong inertia and of delay{losses} exceed what the gains tolerate: "
-        f"small gain {shown}, allowed below 1; needed: {less}{fresh}a better model, lower gains or less delay"
+        "no bound: the force errors of a wrong inertia and of delay exceed what the gains tolerate: small "
+        f"gain {ceil(1e3 * size) / 1e3:g}, allowed below 1; needed: {lossy}{fresh}a better model, lower "
+        "gains or less delay"
     )

@@ -49,7 +49,7 @@ def test_stability_prints_no_bound_if_transmission_losses_are_too_large():
     found = judge(desktop(SMOOTH))
     assert found.status == "not proven"
     assert "no bound" in found.claim
-    assert "transmission losses at reversals" in found.claim
+    assert "transmission with lower losses" in found.claim
 
 
 @pytest.mark.long

@@ -215,11 +215,11 @@ def _warnings(poses: Path, at: list[int], fit: Calibration) -> Iterator[str]:
             f"{', '.join(map(_leg, where))}: not observable with these poses: {names}. In these directions "
             f"the joints stay as configured. {_advice([x for x in fit.undetermined if x.leg in where])}"
         )
-    if fit.weak:
-        each = "; ".join(f"{_leg(x.leg)}: {_sum(x)} +- {1e3 * (x.std or 0):.1f} mm" for x in fit.weak)
+    if weak := _weak(fit):
+        each = "; ".join(f"{leg}: {', '.join(names)}" for leg, names in weak.items())
         yield (
-            f"weak, uncertain by more than {1e3 * WEAK:g} mm: {each}. {_advice(fit.weak)} Lengths and "
-            "poses close to the measured ones are better known than these"
+            f"weak, uncertain by more than {1e3 * WEAK:g} mm: {each}. Measure poses further apart, tilted "
+            "about all axes. Lengths and poses close to the measured ones are better known than these"
         )
     if fit.p_value is not None and fit.chi_square is not None and not DOUBT < fit.p_value < 1 - DOUBT:
         yield (
@@ -232,6 +232,12 @@ def _warnings(poses: Path, at: list[int], fit: Calibration) -> Iterator[str]:
             f"{poses.name}:{at[row]}: {_leg(leg)} is {abs(fit.standardised[row, leg]):.1f} standard "
             "deviations off: possible outlier, check this measurement"
         )
+
+
+def _weak(fit: Calibration) -> dict[str, list[str]]:
+    """Names of the parameters of each leg, `l1` to `l6`, with a standard deviation above WEAK."""
+    names = {_leg(leg): [NAMES[k] for k in np.flatnonzero(fit.std[leg] > WEAK)] for leg in range(6)}
+    return {leg: some for leg, some in names.items() if some}
 
 
 def _advice(lost: list[Combination]) -> str:
@@ -260,10 +266,6 @@ def _leg(leg: int) -> str:
 def _figures(
     c: Configuration, poses: Path, fit: Calibration, rms: float, rms_before: float, warnings: list[str]
 ) -> dict[str, Any]:
-    undetermined, weak = (
-        [{"leg": _leg(x.leg), "coefficients": x.coefficients, "std_m": x.std} for x in some]
-        for some in (fit.undetermined, fit.weak)
-    )
     return {
         "configuration": c.name,
         "poses": str(poses),
@@ -281,8 +283,8 @@ def _figures(
         "parameters": list(NAMES),
         "std_m": fit.std.tolist(),
         "covariance_m2": fit.covariance.tolist(),
-        "undetermined": undetermined,
-        "weak": weak,
+        "undetermined": [{"leg": _leg(x.leg), "coefficients": x.coefficients} for x in fit.undetermined],
+        "weak": _weak(fit),
         "weak_std_m": WEAK,
         "warnings": warnings,
     }

@@ -26,7 +26,7 @@ NOISE = 5.0
 SHARE = 0.02
 """A parameter with a larger share than this in undetermined directions is itself undetermined."""
 WEAK = 1e-3
-"""m: standard deviation of a combination above which a warning is given."""
+"""m: standard deviation of a parameter above which a warning is given."""
 
 
 class Measurements(NamedTuple):
@@ -51,13 +51,11 @@ class Measurements(NamedTuple):
 
 
 class Combination(NamedTuple):
-    """A linear combination of one leg's parameters that the poses determine poorly or not at all."""
+    """A linear combination of one leg's parameters that the poses do not determine."""
 
     leg: int
     coefficients: dict[str, float]
     """Name of the parameter -> its share, the largest 1."""
-    std: float | None = None
-    """Standard deviation, m; None if undetermined."""
 
 
 class Calibration(NamedTuple):
@@ -86,8 +84,6 @@ class Calibration(NamedTuple):
     """m, standard deviation of a reading: estimated, or root mean square of the given ones."""
     undetermined: list[Combination]
     """Undetermined combinations, kept at their start values."""
-    weak: list[Combination]
-    """Combinations with a standard deviation above `WEAK`."""
 
 
 def predicted(platform: Platform, measured: Measurements) -> Array:
@@ -172,7 +168,6 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
         p_value=float(gammaincc(dof / 2, chi_square / 2)) if given else None,
         sigma=float(np.sqrt(scale if measured.length_std is None else np.mean(measured.length_std**2))),
         undetermined=[c for leg in range(6) for c in _combinations(leg, lost[leg])],
-        weak=[c for leg in range(6) for c in _weak(leg, covariance)],
     )
 
 
@@ -258,19 +253,6 @@ def _combinations(leg: int, V: Array) -> list[Combination]:
     _, R, order = qr(V.T, mode="economic", pivoting=True)
     A = np.empty((k, 7))
     A[:, order] = np.linalg.solve(R[:, :k], R)
-    return [Combination(leg, _named(vector)) for vector in A]
-
-
-def _weak(leg: int, covariance: Array) -> list[Combination]:
-    variance, V = np.linalg.eigh(covariance[7 * leg : 7 * leg + 7, 7 * leg : 7 * leg + 7])
-    return [
-        Combination(leg, _named(V[:, j]), float(np.sqrt(variance[j])))
-        for j in range(6, -1, -1)
-        if variance[j] > WEAK**2
-    ]
-
-
-def _named(vector: Array) -> dict[str, float]:
-    """Entries of at least a tenth of the largest, by parameter name, scaled so that the largest is 1."""
-    x = vector / vector[int(np.argmax(np.abs(vector)))]
-    return {name: float(v) for name, v in zip(NAMES, x, strict=True) if abs(v) >= 0.1}
+    A /= np.take_along_axis(A, np.abs(A).argmax(axis=1)[:, None], axis=1)
+    shares = [zip(NAMES, row.tolist(), strict=True) for row in A]
+    return [Combination(leg, {name: v for name, v in row if abs(v) >= 0.1}) for row in shares]

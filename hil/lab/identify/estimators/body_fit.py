@@ -20,13 +20,7 @@ from scipy.optimize import least_squares
 from drivers.arrays import Array, Ints
 from drivers.errors import IdentificationError
 from hil.lab.identify.estimators.leg_equations import Equations
-from hil.lab.identify.estimators.rigid_body import (
-    SIZE,
-    from_log_cholesky,
-    from_pseudo_inertia,
-    log_cholesky,
-    pseudo_inertia,
-)
+from hil.lab.identify.estimators.rigid_body import SIZE, from_pseudo_inertia, pseudo_inertia
 from hil.robot.geometry import Platform
 
 WEIGHT = 9.81
@@ -174,9 +168,8 @@ def halves(equations: Equations) -> list[Equations]:
 
 LEAST = 1e-9
 """Smallest eigenvalue at the start of the search, relative to the largest."""
-FARTHEST = 15.0
-"""Bound of the logarithms: a body may be as thin as exp(-15) of the platform."""
 _POWERS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+_LOWER = np.tril_indices(4)
 
 
 class Consistent(NamedTuple):
@@ -196,11 +189,11 @@ class Consistent(NamedTuple):
 def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) -> Consistent:
     """Least squares constrained to physically possible bodies.
 
-    The pseudo-inertia is the carrier's plus one in log-Cholesky form, so no constraint is needed (C. Rucker
-    and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022). Unobservable directions stay as
-    configured, as far as a body permits. Friction and reflected masses are further unknowns without bounds:
-    with an imperfect model, the estimate of a zero friction may be negative, and a bound would push that
-    error into the inertia.
+    The pseudo-inertia is the carrier's plus L L^T, L lower triangular, so no constraint is needed (after C.
+    Rucker and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022). Unobservable directions stay
+    as configured, as far as a body permits. Friction and reflected masses are further unknowns without
+    bounds: with an imperfect model, the estimate of a zero friction may be negative, and a bound would push
+    that error into the inertia.
 
     estimate: unconstrained least squares. radius: m, makes the lengths of the pseudo-inertia comparable.
     carrier (10,): a known body; the rest on top of it must be a possible body by itself.
@@ -215,8 +208,9 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
     H = estimate.hidden.T / scale
 
     def theta_of(x: Array) -> Array:
-        theta = estimate.theta.copy()
-        theta[:SIZE] = base + unit * from_log_cholesky(x[:SIZE]) * radius**_POWERS
+        theta, L = estimate.theta.copy(), np.zeros((4, 4))
+        L[_LOWER] = x[:SIZE]
+        theta[:SIZE] = base + unit * from_pseudo_inertia(L @ L.T) * radius**_POWERS
         theta[SIZE:] = x[SIZE:] * scale[SIZE:]
         return theta
 
@@ -224,21 +218,12 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
         change = theta_of(x) - estimate.theta
         return np.concatenate([estimate.root @ change, H @ change])
 
-    begin = np.concatenate([
-        np.clip(log_cholesky(_nearest(own / unit)), 1e-3 - FARTHEST, FARTHEST - 1e-3),
-        estimate.theta[SIZE:] / scale[SIZE:],
-    ])  # fmt: skip
-    end = np.full(len(begin), np.inf)
-    end[:4] = FARTHEST  # a, d1, d2, d3
-    fit = least_squares(residual, begin, bounds=(-end, end), x_scale="jac", max_nfev=500)
+    values, vectors = np.linalg.eigh(pseudo_inertia(own / unit))
+    values = np.maximum(values, LEAST * np.abs(values).max())
+    nearest = np.linalg.cholesky(vectors * values @ vectors.T)
+    begin = np.concatenate([nearest[_LOWER], estimate.theta[SIZE:] / scale[SIZE:]])
+    fit = least_squares(residual, begin, x_scale="jac", max_nfev=500)
     theta, to_shown = theta_of(fit.x), estimate.shown.T / scale
     variance = np.diag(to_shown @ estimate.covariance @ to_shown.T)
     shift = np.abs(to_shown @ (theta - estimate.theta)) / np.sqrt(np.maximum(variance, 1e-24))
     return Consistent(theta, smallest, float(shift.max(initial=0.0)))
-
-
-def _nearest(theta: Array) -> Array:
-    """Body parameters (10,) with a positive definite pseudo-inertia: eigenvalues too small are raised."""
-    values, vectors = np.linalg.eigh(pseudo_inertia(theta))
-    values = np.maximum(values, LEAST * np.abs(values).max())
-    return from_pseudo_inertia(vectors @ np.diag(values) @ vectors.T)

@@ -36,8 +36,6 @@ FEWEST_PERIODS = 100
 """Least number of usable periods of motion per leg."""
 STARTS = [(transport, lag) for transport in (0.25, 1.5, 3.5) for lag in (0.1, 1.0)]
 """Start values of the search: transport and lag, in periods."""
-DIFFERENCE = 0.01
-"""Half step, in periods, of difference quotients over transport and lag."""
 
 
 class Motion(NamedTuple):
@@ -84,15 +82,13 @@ def force_delay(motion: Motion, model: Model) -> Delay:
             f"too little motion: a leg moves faster than {1e3 * SLIDING_SPEED:g} mm/s in {periods} periods "
             f"with open brakes and fresh legs, allowed: at least {FEWEST_PERIODS}"
         )
-    found = fit.search(STARTS)
-    covariance = fit.covariance(found)
+    found, covariance = fit.search(STARTS)
     std = T * np.sqrt(np.diag(covariance))
     # at its bound the slope of a delay is meaningless
     at_end = found[0] < 1e-3 and found[1] > 0.02
     separable = bool(std.max() <= SURE_S) and not at_end
     if not separable:
-        found = fit.search([(float(found.sum()),)])
-        covariance = fit.covariance(found)
+        found, covariance = fit.search([(float(found.sum()),)])
         std = np.append(T * np.sqrt(covariance[0]), 0.0)
     total_std = T * float(np.sqrt(covariance.sum()))
     varying = sum(((fit.needed[k] - fit.needed[k].mean()) ** 2).sum() for k in fit.rows)
@@ -157,12 +153,10 @@ class _Fit:
         rate = 0.5 * (before + after)[slides]
         self.needed, self._friction = needed[slides], -np.column_stack([rate, np.sign(rate)])
 
-    def _force(self, transport: float, lag: float = 0.0) -> Array:
-        T = self._motion.period_s
-        return mean_forces(self._motion.tau, T, transport * T, lag * T)[self._sample, self._leg]
-
     def _regressors(self, x: Sequence[float] | Array) -> Array:
-        return np.column_stack([self._force(*x), np.ones(len(self.needed)), self._friction])
+        T, (transport, lag) = self._motion.period_s, (*x, 0.0)[:2]
+        force = mean_forces(self._motion.tau, T, transport * T, lag * T)[self._sample, self._leg]
+        return np.column_stack([force, np.ones(len(self.needed)), self._friction])
 
     def coefficients(self, x: Sequence[float] | Array) -> Array:
         """Gain, offset N, viscous N s/m and Coulomb N friction (6, 4) of the legs for given delays."""
@@ -174,30 +168,19 @@ class _Fit:
         of_rows = self.coefficients(x)[self._leg]
         return np.asarray(self.needed - (self._regressors(x) * of_rows).sum(axis=1), np.float64)
 
-    def search(self, starts: Sequence[tuple[float, ...]]) -> Array:
-        """Delays, in periods, with the smallest residual over several start values."""
+    def search(self, starts: Sequence[tuple[float, ...]]) -> tuple[Array, Array]:
+        """Delays, periods, of the smallest residual over several starts; their covariance, inf: unknown."""
         fits = [
             least_squares(
                 self.residual,
                 np.clip(start, 1e-3, LONGEST_PERIODS - 1e-3),
                 bounds=(0.0, LONGEST_PERIODS),
+                diff_step=1e-3,
                 xtol=1e-7,
             )
             for start in starts
         ]
-        return np.asarray(min(fits, key=lambda fit: float(fit.cost)).x, np.float64)
-
-    def covariance(self, x: Array) -> Array:
-        """Covariance, periods^2, of the delays with free leg coefficients; inf if undetermined."""
-        A, n = self._regressors(x), len(x)
-        Z = np.empty((len(A), n))
-        for k in range(n):
-            low, high = x.copy(), x.copy()
-            low[k], high[k] = max(x[k] - DIFFERENCE, 0.0), x[k] + DIFFERENCE
-            Z[:, k] = (self._force(*high) - self._force(*low)) / (high[k] - low[k])
-        Z *= self.coefficients(x)[self._leg, :1]
-        for rows in self.rows:  # changes that the leg's coefficients absorb carry no information
-            Z[rows] -= A[rows] @ np.linalg.lstsq(A[rows], Z[rows], rcond=None)[0]
-        if np.linalg.matrix_rank(Z) < n:
-            return np.full((n, n), np.inf)
-        return coloured_covariance(Z, self.residual(x), self._sample)
+        best = min(fits, key=lambda fit: float(fit.cost))
+        if np.linalg.matrix_rank(best.jac) < len(best.x):
+            return best.x, np.full((len(best.x), len(best.x)), np.inf)
+        return best.x, coloured_covariance(best.jac, best.fun, self._sample)

@@ -56,27 +56,6 @@ def from_pseudo_inertia(P: Array) -> Array:
     return np.array([P[3, 3], *P[:3, 3], *I[_ELEMENTS]])
 
 
-def from_log_cholesky(x: Array) -> Array:
-    """Parameters theta (10,) of a possible body from any [a, d1, d2, d3, s12, s23, s13, t1, t2, t3].
-
-    The pseudo-inertia is U U^T with U = exp(a) [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3],
-    [0, 0, 0, 1]] (C. Rucker and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022).
-    """
-    a, d1, d2, d3, s12, s23, s13, t1, t2, t3 = x
-    U = np.diag(np.exp([d1, d2, d3, 0.0]))
-    U[0, 1:], U[1, 2:], U[2, 3] = (s12, s13, t1), (s23, t2), t3
-    return from_pseudo_inertia(np.exp(2.0 * a) * (U @ U.T))
-
-
-def log_cholesky(theta: Array) -> Array:
-    """Inverse of `from_log_cholesky`. Raises LinAlgError if theta is impossible for a body."""
-    turned = np.linalg.cholesky(pseudo_inertia(theta)[::-1, ::-1])
-    U = turned[::-1, ::-1]  # upper triangular, U U^T as wanted
-    u = U / U[3, 3]
-    d = np.log(np.diag(u)[:3])
-    return np.array([np.log(U[3, 3]), *d, u[0, 1], u[1, 2], u[0, 2], u[0, 3], u[1, 3], u[2, 3]])
-
-
 def regressor(R: Array, twist: Array, dtwist: Array, gravity: Array) -> Array:
     """Regressor Y (n, 6, 10): Y theta is the force and moment about the platform's origin that move the body.
 

@@ -5,9 +5,7 @@ import pytest
 
 from hil.lab.identify.estimators.rigid_body import (
     body_of,
-    from_log_cholesky,
     from_pseudo_inertia,
-    log_cholesky,
     parameters_of,
     pseudo_inertia,
     regressor,
@@ -15,7 +13,6 @@ from hil.lab.identify.estimators.rigid_body import (
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Body
-from hil.robot.inertia import physical
 from hil.robot.kinematics import jacobian
 from tests.hil.test_dynamics import CASES, PLATFORMS, state_of
 
@@ -96,12 +93,3 @@ def test_body_and_its_ten_parameters_convert_into_each_other():
     np.testing.assert_allclose(body.com, com, rtol=0, atol=1e-14)
     np.testing.assert_allclose(body.inertia, I, rtol=0, atol=1e-12)
     np.testing.assert_allclose(parameters_of(body), cloud(), rtol=0, atol=1e-12)
-
-
-def test_any_ten_log_cholesky_parameters_give_a_physical_body_and_are_recovered():
-    for x in RNG.normal(0.0, 1.5, (50, 10)):
-        theta = from_log_cholesky(x)
-        assert theta[0] > 0.0
-        assert physical(body_of(theta).inertia)
-        assert np.linalg.eigvalsh(pseudo_inertia(theta)).min() > 0.0
-        np.testing.assert_allclose(log_cholesky(theta), x, rtol=0, atol=1e-6)

@@ -179,15 +179,8 @@ class Context:
 
     def lengths(self) -> Array:
         """Leg lengths (6,) m as the drives read them. Raises StoppedError if one is over OLD_TICKS old."""
-        record = self.drives.record
-        silent = np.flatnonzero(record["age"] > OLD_TICKS).tolist()
-        if silent:
-            blind = record["blind"][silent].all()
-            why = "it answers without a length" if blind else "it is silent"
-            text = f"no reading for {int(record['age'][silent[0]])} ticks: {why}"
-            remedy = "Check cable, supply, encoder, counts per turn and gear, and repeat the command."
-            raise StoppedError(Finding("not_heard", tuple(silent), text, remedy))
-        return np.array(record["length"])
+        self._heard(range(LEGS))
+        return np.array(self.drives.record["length"])
 
     def take_down(self) -> None:
         """Ask the operator to take the platform off its legs, if this or an earlier run had it mounted."""
@@ -256,7 +249,7 @@ class Context:
     def drive(self, drive: int, force: float = 0.0) -> None:
         """Command a force, N, to a drive with an open brake for one tick. Raises StoppedError: not in RUN."""
         record = self.drives.step(DriveMode.RUN, drive, force)
-        self._heard(drive)
+        self._heard([drive])
         state = DriveState(int(record["drive_state"][drive]))
         if state is not DriveState.RUN:
             why = self.fault_of(drive)
@@ -294,21 +287,21 @@ class Context:
             if fact["drive"] is not None and abs(fact["scale"]) > 0.0
         }
 
-    def _heard(self, drive: int) -> None:
-        age = int(self.drives.record["age"][drive])
-        if age > OLD_TICKS:
-            text = f"no reading for {age} ticks: the drive has lost its supply, or its bus loses frames"
-            remedy = "Check its supply, cable, plugs, shield and termination."
-            raise StoppedError(Finding("not_heard", (drive,), text, remedy))
+    def _heard(self, drives: Iterable[int]) -> None:
+        """Raise StoppedError if one of some drives was not read for more than OLD_TICKS."""
+        record = self.drives.record
+        silent = [drive for drive in drives if record["age"][drive] > OLD_TICKS]
+        if silent:
+            blind = record["blind"][silent].all()
+            why = "it answers without a length" if blind else "it is silent"
+            text = f"no reading for {int(record['age'][silent[0]])} ticks: {why}"
+            remedy = "Check supply, cable, plugs, shield, encoder, counts per turn and gear."
+            raise StoppedError(Finding("not_heard", tuple(silent), text, remedy))
 
     def travelled(self, since: Array) -> dict[int, float]:
         """Travel of each leg, m by tape, since the readings `since` (6,) m. Raises StoppedError: silent."""
-        for drive in self.reads():
-            self._heard(drive)
         now = self.lengths()
-        return {
-            leg: float((now[drive] - since[drive]) / scale) for drive, (leg, scale) in self.reads().items()
-        }
+        return {leg: float((now[k] - since[k]) / scale) for k, (leg, scale) in self.reads().items()}
 
 
 _MOUNTED = "mounted", "taped", "hoisted"

@@ -148,7 +148,12 @@ class Drives:
         if not self.locks and leg is not None:
             shut = Command(DriveMode.OFF, np.zeros(LEGS))
             frames = self._chosen(frames, sent_frames(self._rest.give(shut, tick)), leg)
-        sent = (() if silent else frames) + (self._set_up_frames() if set_up else ()) + further
+        settings: tuple[Frame, ...] = ()
+        if set_up:
+            mine = np.array([self._powers(k) for k in range(LEGS)])
+            chosen = self._live.set_up(_only(self.record, mine))
+            settings = sent_frames(chosen if len(chosen) else self._rest.set_up(_only(self.record, ~mine)))
+        sent = (() if silent else frames) + settings + further
         if alike:
             self._rest.remember(self._live.remembered())
         self.line.send(sent)
@@ -191,13 +196,6 @@ class Drives:
 
     def _faulted(self) -> bool:
         return bool((self.record["drive_state"] == DriveState.FAULT).any())
-
-    def _set_up_frames(self) -> tuple[Frame, ...]:
-        mine = np.array([self._powers(k) for k in range(LEGS)])
-        frames = self._live.set_up(_only(self.record, mine))
-        if not len(frames) and not mine.all():
-            frames = self._rest.set_up(_only(self.record, ~mine))
-        return sent_frames(frames)
 
     def identities(self, legs: Collection[int] = range(LEGS)) -> tuple[dict[str, int], ...]:
         """Request the identity of drives `legs` while off; return {name: value} per drive. Sets `serials`."""

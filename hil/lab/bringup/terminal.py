@@ -53,7 +53,9 @@ class Terminal:
 
     def answer(self) -> float | None:
         """The number typed, 0 for an action done, None until then. Raises RefusedError for `no`."""
-        if not self._has_line():
+        while not self._whole() and select.select([self._source], [], [], 0.0)[0]:
+            self._take()
+        if not self._whole():
             return None
         assert self._open is not None
         typed, value = self._line(), math.nan
@@ -68,12 +70,6 @@ class Terminal:
         if "," in typed:
             self._write(f"    read as {value:g}")
         return value
-
-    def _has_line(self) -> bool:
-        """Take the bytes typed so far; return True if a line is complete or the input has ended."""
-        while not (whole := self._whole()) and select.select([self._source], [], [], 0.0)[0]:
-            self._take()
-        return whole
 
     def _whole(self) -> bool:
         return b"\n" in self._typed or self._ended

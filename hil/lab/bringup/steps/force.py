@@ -58,29 +58,15 @@ def find(c: Context) -> None:
 
 
 def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
-    """Increase a drive's force until a leg moves; return the force, N, the leg, and its direction.
-
-    The brake opens for one ramp only: a leg that the code for zero moves rests before the next ramp.
-    """
-    found: dict[str, Any] = {"force_N": None, "leg": None, "way": 0}
-    ticks, watched = c.drives.ticks(RAMP_S), c.drives.ticks(WATCH_S)
+    """Increase a drive's force until a leg moves; return the force, N, the leg, and its direction."""
     high = c.machine.force_N
     low = min(START_STEPS * step_of(c, drive), high)
-    with c.opened(drive):
-        origin = c.lengths()
-        _watch(c, drive, origin, watched)
-        drift, before = c.travelled(origin), c.lengths()
-        for n in range(1, ticks + 1):
-            force = sign * (low + (high - low) * n / ticks)
-            c.drive(drive, force)
-            guard(c, drive, origin)
-            moves = {leg: by_m - n * drift[leg] / watched for leg, by_m in c.travelled(before).items()}
-            leg = max(moves, key=lambda k: abs(moves[k]))
-            if abs(moves[leg]) > MOVED_M:
-                found = {"force_N": abs(force), "leg": leg, "way": 1 if moves[leg] > 0.0 else -1}
-                break
-        _watch(c, drive, origin, c.drives.ticks(SETTLE_S))
-    return found
+    forces = np.linspace(low, high, c.drives.ticks(RAMP_S) + 1)[1:].tolist()
+    t, moves = _pushed(c, drive, [sign * force for force in forces])
+    leg = max(moves, key=lambda k: abs(moves[k][-1]))
+    if abs(moves[leg][-1]) <= MOVED_M:
+        return {"force_N": None, "leg": None, "way": 0}
+    return {"force_N": forces[len(t) - 1], "leg": leg, "way": 1 if moves[leg][-1] > 0.0 else -1}
 
 
 def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
@@ -96,7 +82,8 @@ def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
     aim = STEP_SHARE * c.known("opens", drive)["hand_N"] + START_STEPS * step_of(c, drive)
     aim = max(aim, LEAST_SHARE * c.machine.force_N)
     while True:
-        t, x = _answer(c, drive, min(aim, c.machine.force_N), leg)
+        t, moved = _pushed(c, drive, [min(aim, c.machine.force_N)] * c.drives.ticks(ANSWER_S))
+        x = moved[leg]
         if (abs(x[-1]) > MOVED_M and t[-1] < BRISK_S) or aim >= c.machine.force_N:
             break
         aim *= 2.0
@@ -108,23 +95,26 @@ def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
     return max(0.0, float(np.polyfit(np.sqrt(way * x[moves]), t[moves], 1)[1]))
 
 
-def _answer(c: Context, drive: int, force: float, leg: int) -> tuple[Array, Array]:
-    """Times, s, and travel less drift, m, of a leg after a step of force, N, until it moved by MOVED_M."""
-    t, x = list[float](), list[float]()
+def _pushed(c: Context, drive: int, forces: list[float]) -> tuple[Array, dict[int, Array]]:
+    """Times, s, and travel less drift of each leg, m, under forces, N, a tick each, until a leg has moved.
+
+    The brake opens for these forces only: a leg that the code for zero moves rests before the next ones.
+    """
+    t, moves = list[float](), list[dict[int, float]]()
     watched = c.drives.ticks(WATCH_S)
     with c.opened(drive):
         origin = c.lengths()
         _watch(c, drive, origin, watched)
-        drift, before, began_ns = c.travelled(origin)[leg], c.lengths(), int(c.drives.record["t_ns"])
-        for n in range(1, c.drives.ticks(ANSWER_S) + 1):
+        drift, before, began_ns = c.travelled(origin), c.lengths(), int(c.drives.record["t_ns"])
+        for n, force in enumerate(forces, 1):
             c.drive(drive, force)
             guard(c, drive, origin)
             t.append(1e-9 * (int(c.drives.record["t_ns"]) - began_ns))
-            x.append(c.travelled(before)[leg] - n * drift / watched)
-            if abs(x[-1]) > MOVED_M:
+            moves.append({leg: x - n * drift[leg] / watched for leg, x in c.travelled(before).items()})
+            if max(map(abs, moves[-1].values())) > MOVED_M:
                 break
         _watch(c, drive, origin, c.drives.ticks(SETTLE_S))
-    return np.array(t), np.array(x)
+    return np.array(t), {leg: np.array([each[leg] for each in moves]) for leg in drift}
 
 
 def _watch(c: Context, drive: int, origin: Array, ticks: int) -> None:

@@ -31,8 +31,12 @@ def find(c: Context) -> None:
     h = _on_hoist(c)
     brakes.hold(h)
     if not brakes.judge(h):
+        tight = replace(h, most_m=LOADED_M)
         for drive in range(LEGS):
-            h.keep("unloaded", drive, _stays(h, drive))
+            with tight.opened(drive):
+                for _ in range(h.drives.ticks(WATCH_S)):
+                    tight.drive(drive)
+            h.keep("unloaded", drive, fact=True)
         brakes.find(h)
     if not brakes.judge(h):
         away = "Hands off, everybody away from the platform: the drives push now"
@@ -45,15 +49,6 @@ def _on_hoist(c: Context) -> Context:
     facts = c.facts.setdefault(HOISTED, {})
     facts["encoder"] = c.facts.get("encoder", {})
     return replace(c, facts=facts, most_m=MOST_M)
-
-
-def _stays(h: Context, drive: int) -> bool:
-    """Open a brake without force and watch all legs; True. Raises StoppedError: a leg moved."""
-    tight = replace(h, most_m=LOADED_M)
-    with tight.opened(drive):
-        for _ in range(h.drives.ticks(WATCH_S)):
-            tight.drive(drive)
-    return True
 
 
 def judge(c: Context) -> Iterator[Finding]:

@@ -39,7 +39,7 @@ def find(c: Context) -> None:
     traits = c.drives.protocol.traits
     missing = list(c.missing("watchdog")) if _observable(c) else []
     polled = traits.command_delay_ticks > 0 or traits.power_told == "heartbeat"
-    find_some = _find_shut if traits.force_on_brakes else _find_polled if polled else _find_watched
+    find_some = _find_polled if polled and not traits.force_on_brakes else _find_watched
     together = [list(range(LEGS))] if missing else []
     for legs in together if traits.force_on_brakes else [[leg] for leg in missing]:
         for _ in range(TRIES):
@@ -76,9 +76,12 @@ def _wait_s(c: Context) -> float:
     return max(WAIT * c.machine.watchdog_s, WAIT_S)
 
 
-def _find_shut(c: Context, legs: Sequence[int]) -> list[Fact]:
-    """Power all drives on shut brakes, stop commanding, and watch their answers to SYNC."""
+def _find_watched(c: Context, legs: Sequence[int]) -> list[Fact]:
+    """Power all drives on shut brakes, or enable one alone; stop commanding, watch the answers to SYNC."""
     drives = c.drives
+    if len(legs) == 1:
+        with c.opened(legs[0]):
+            return _watched(c, legs, lambda: drives.step(DriveMode.RUN, legs[0], silent=True))
     drives.prepare(None)
     for _ in range(drives.ticks(POWER_S)):
         drives.step(DriveMode.READY)
@@ -88,12 +91,6 @@ def _find_shut(c: Context, legs: Sequence[int]) -> list[Fact]:
         return _watched(c, legs, lambda: drives.step(DriveMode.READY, silent=True))
     finally:
         drives.off()
-
-
-def _find_watched(c: Context, legs: Sequence[int]) -> list[Fact]:
-    """Enable a drive alone, stop commanding, and watch its answers to SYNC."""
-    with c.opened(legs[0]):
-        return _watched(c, legs, lambda: c.drives.step(DriveMode.RUN, legs[0], silent=True))
 
 
 def _watched(c: Context, legs: Sequence[int], silent: Callable[[], Record]) -> list[Fact]:

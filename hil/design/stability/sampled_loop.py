@@ -192,6 +192,14 @@ def crossings(loci: Callable[[Array], ComplexArray], omega: Array) -> Iterator[t
         yield w, float(np.angle(at(w))) + pi
 
 
+def crossing_margins(loci: Callable[[Array], ComplexArray], omega: Array) -> tuple[float, float, float]:
+    """Delay margin, s, crossover, rad/s, and phase margin, deg, of a stable loop; loci: (n, k) at omega."""
+    met = list(crossings(loci, omega))  # what may still be lost until -1 is in 0 .. 2 pi
+    phase = min((min(left, 2.0 * pi - left) for _, left in met), default=inf)
+    delay = min((left / w for w, left in met), default=inf)
+    return delay, max((w for w, _ in met), default=0.0), float(np.degrees(phase))
+
+
 def margins(loop: LinearSystem) -> Margins:
     """Margins of a stable sampled loop L with one input and one output; 1 + L(z) = 0 is the limit."""
     assert loop.period_s is not None
@@ -206,14 +214,13 @@ def margins(loop: LinearSystem) -> Margins:
         w = root(lambda w: L(np.array([w]))[0, 0].imag, omega[k], omega[k + 1])
         at_real.append(L(np.array([w]))[0, 0].real)
     factors = [-1.0 / real for real in at_real if real < 0.0]
-    met = list(crossings(L, omega))  # what may still be lost until -1 is in 0 .. 2 pi
-    phase = min((min(left, 2.0 * pi - left) for _, left in met), default=inf)
+    delay_s, crossover, phase_deg = crossing_margins(L, omega)
     return Margins(
         min((f for f in factors if f > 1.0), default=inf),
         max((f for f in factors if f <= 1.0), default=0.0),
-        float(np.degrees(phase)),
-        min((left / w for w, left in met), default=inf),
-        max((w for w, _ in met), default=0.0),
+        phase_deg,
+        delay_s,
+        crossover,
         float(np.abs(1.0 / (1.0 + value)).max()),
         float(np.abs(value / (1.0 + value)).max()),
     )

@@ -28,7 +28,7 @@ import numpy as np
 from drivers.arrays import ZERO6, Array, ComplexArray
 from drivers.errors import ModelError
 from hil.design.stability.observed_loop import Observer, observed
-from hil.design.stability.sampled_loop import Axis, crossings, root, sampled_axis
+from hil.design.stability.sampled_loop import Axis, crossing_margins, root, sampled_axis
 from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot import dynamics_kernels as kernels
@@ -141,12 +141,7 @@ class Springs(NamedTuple):
 
         grid = np.geomspace(1e-4, 1.0, 1500) * top
         near = np.sort(np.concatenate([grid, peaks * (1.0 - 1e-7), peaks * (1.0 + 1e-7)]))  # narrow peaks
-        met = list(crossings(loci, near))
-        return (
-            min((left / omega for omega, left in met), default=np.inf),
-            max((w for w, _ in met), default=0.0),
-            float(np.degrees(min((min(left, 2.0 * pi - left) for _, left in met), default=np.inf))),
-        )
+        return crossing_margins(loci, near)
 
 
 def rest(robot: Model, tau: Forces, p: Array, R: Array) -> tuple[Array, Array, Springs]:

@@ -106,8 +106,7 @@ def balanced(K: LinearSystem) -> LinearSystem:
     make the first column of B positive. A system with a nearly uncontrollable or unobservable state has no
     such coordinates and is returned unchanged.
     """
-    L_c, L_o = (_factor(solve_discrete_lyapunov(A, B @ B.T)) for A, B in ((K.A, K.B), (K.A.T, K.C.T)))
-    right, left, s = _balancing(L_c, L_o)
+    right, left, s = _balancing(K)
     if not K.order or s[-1] <= 1e-14 * s[0]:
         return K
     sign = np.where((left.T @ K.B)[:, 0] < 0.0, -1.0, 1.0)
@@ -128,16 +127,17 @@ def reduced(K: LinearSystem, inputs: Array, share: float) -> LinearSystem:
         return K
     A, T = matrix_balance(K.A)
     B, C = np.linalg.solve(T, K.B) * inputs, K.C @ T
-    L_c = _factor(solve_continuous_lyapunov(A, -B @ B.T))
-    L_o = _factor(solve_continuous_lyapunov(A.T, -C.T @ C))
-    right, left, s = _balancing(L_c, L_o)
+    right, left, s = _balancing(LinearSystem(A, B, C, K.D))
     n = int((s > share * s[0]).sum())
     right, left = right[:, :n], left[:, :n]
     return LinearSystem(left.T @ A @ right, left.T @ B / inputs, C @ right, K.D)
 
 
-def _balancing(L_c: Array, L_o: Array) -> tuple[Array, Array, Array]:
+def _balancing(K: LinearSystem) -> tuple[Array, Array, Array]:
     """Coordinate maps x = right z, z = left^T x to balanced coordinates, and the Hankel singular values."""
+    A, B, C, _, sampled = K
+    solve = solve_discrete_lyapunov if sampled else lambda A, Q: solve_continuous_lyapunov(A, -Q)
+    L_c, L_o = (_factor(solve(F, G @ G.T)) for F, G in ((A, B), (A.T, C.T)))
     U, s, Vt = np.linalg.svd(L_o.T @ L_c)
     root = np.sqrt(np.maximum(s, 1e-300))
     return L_c @ Vt.T / root, L_o @ U / root, s

@@ -4,7 +4,6 @@ A law that linearises sends tau = A(x) v + b(x), x the measured state, for a dem
 follows from the sent forces, limits included, whatever produced v: reference, gains, a switching term.
 """
 
-from collections.abc import Callable
 from fractions import Fraction
 from math import gcd, lcm
 from typing import NamedTuple
@@ -77,7 +76,8 @@ def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSign
     rows, p, R, good = episode(rows)
     twist, wrench = np.nan_to_num(rows["twist"]), np.ascontiguousarray(rows["wrench"]) * law.takes_wrench_off
     states = [state_of(law.model, *state) for state in zip(p, R, twist, wrench, strict=True)]
-    v = demanded_accelerations(law.space, law.model, states, rows["tau"])
+    A, b = law_terms(law.space, law.model, states)
+    v = np.asarray(np.linalg.solve(A, (rows["tau"] - b)[:, :, None])[:, :, 0], float)
     if law.space == "joint":
         y, r = rows["q"], rows["ddq_d"]
     else:
@@ -122,48 +122,37 @@ def settled(
     A tick does not count if the reference's time t (n,) s advanced by another time than the clock: at less
     than full speed all lines have lower frequencies than expected.
     """
-    good = at_full_speed(signals.good, t, signals.period_s)
+    T, ticks = signals.period_s, np.flatnonzero(signals.good)
+    late = np.diff(t[ticks] - ticks * T, prepend=t[ticks[:1]] - ticks[:1] * T)
+    good = np.zeros(len(t), bool)
+    good[ticks[np.abs(late) < APART * T]] = True
     end = t[np.isfinite(t)].max(initial=0.0)
     if isinstance(reference, MultisineReference):
         duration = 2.0 * reference.ramp_s + reference.periods * reference.period_s
     else:
         duration = reference.duration_s
-    inside = np.flatnonzero(
-        (t >= reference.ramp_s - 1e-9) & (t < min(duration - reference.ramp_s, end) - 1e-9)
-    )
-    mask = np.zeros(len(good), bool)
-    if len(inside):
-        mask[inside[len(inside) % length :]] = True
+    last = min(duration - reference.ramp_s, end) - 1e-9
+    inside = np.flatnonzero((t >= reference.ramp_s - 1e-9) & (t < last))
+    mask = np.zeros(len(t), bool)
+    mask[inside[len(inside) % length :]] = True
     return good & mask
 
 
-def at_full_speed(good: Flags, t: Array, period_s: float) -> Flags:
-    """True at good ticks (n,) where the reference's time t advanced with the clock since the last one."""
-    ticks = np.flatnonzero(good)
-    late = np.diff(t[ticks] - ticks * period_s, prepend=t[ticks[:1]] - ticks[:1] * period_s)
-    found = good.copy()
-    found[ticks[~(np.abs(late) < APART * period_s)]] = False
-    return found
-
-
-Law = Callable[[Model, Record, Array], Array]
-
-
-def demanded_accelerations(space: AxisSpace, model: Model, states: list[Record], tau: Array) -> Array:
-    """Demanded accelerations v (n, 6) for which the law of `model` sends tau (n, 6) N in each state.
-
-    joint: of the legs, m/s^2; pose: of x, y, z and the rotations about them, m/s^2 and rad/s^2.
-    """
-    A, b = law_terms(space, model, states)
-    return np.asarray(np.linalg.solve(A, (tau - b)[:, :, None])[:, :, 0], float)
-
-
 def law_terms(space: AxisSpace, model: Model, states: list[Record]) -> tuple[Array, Array]:
-    """A (n, 6, 6) and b (n, 6) N of tau = A v + b in each state, by the law's own kernel."""
-    law, still = _LAWS[space], np.zeros(6)
-    b = np.array([law(model, state, still) for state in states])
-    columns = [np.array([law(model, state, axis) for state in states]) - b for axis in np.eye(6)]
-    return np.stack(columns, axis=2), b
+    """A (n, 6, 6) and b (n, 6) N of tau = A v + b in each state, by the law's own kernel.
+
+    v of space joint: of the legs, m/s^2; pose: of x, y, z and the rotations about them, m/s^2 and rad/s^2.
+    """
+
+    def tau(v: Array) -> Array:
+        if space == "joint":
+            return np.array([linearising_tau(model, state, v) for state in states])
+        c, code = model.constants, model.code
+        of = [(state["p"], state["R"], state["twist"], v, state["wrench"]) for state in states]
+        return np.array([inverse_dynamics_kernel(c, code, *each) for each in of])
+
+    b = tau(np.zeros(6))
+    return np.stack([tau(axis) - b for axis in np.eye(6)], axis=2), b
 
 
 def state_of(model: Model, p: Array, R: Array, twist: Array, wrench: Array) -> Record:
@@ -172,12 +161,3 @@ def state_of(model: Model, p: Array, R: Array, twist: Array, wrench: Array) -> R
     tick["p"], tick["R"], tick["twist"], tick["wrench"] = p, R, twist, wrench
     tick["J"] = jacobian_kernel(model.platform.base_joints, model.platform.platform_joints, p, R)
     return tick
-
-
-def _pose(model: Model, tick: Record, v: Array) -> Array:
-    return inverse_dynamics_kernel(
-        model.constants, model.code, tick["p"], tick["R"], tick["twist"], v, tick["wrench"]
-    )
-
-
-_LAWS: dict[AxisSpace, Law] = {"joint": linearising_tau, "pose": _pose}

@@ -1,5 +1,6 @@
 """`hil identify payload`: masses, inertia and friction of a platform from logs of ordinary runs."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -211,16 +212,15 @@ def _carrier(source: Source) -> Array:
 
 def _held_out(sources: list[Source], believed: Array, scale: Array) -> dict[str, tuple[float, float]]:
     """Rms error, N, of each log, or half of the only log, with a fit to the others and as configured."""
-    parts = [s.equations for s in sources] if len(sources) > 1 else halves(sources[0].equations)
-    names = [str(s.path) for s in sources] if len(sources) > 1 else HALVES
+    parts = {str(s.path): s.equations for s in sources}
+    if len(sources) == 1:
+        parts = dict(zip(HALVES, halves(sources[0].equations), strict=True))
     found = {}
-    for k, (name, part) in enumerate(zip(names, parts, strict=True)):
-        try:
-            fit = solve(joined(parts[:k] + parts[k + 1 :]), believed, scale)
-        except IdentificationError:
-            continue
-        if len(part.y):
-            found[name] = prediction_error(part, fit.theta), prediction_error(part, believed)
+    for name, part in parts.items():
+        with suppress(IdentificationError):
+            fit = solve(joined([other for each, other in parts.items() if each != name]), believed, scale)
+            if len(part.y):
+                found[name] = prediction_error(part, fit.theta), prediction_error(part, believed)
     return found
 
 

@@ -224,8 +224,8 @@ def _physics(found: Found) -> Iterator[str]:
     for what, fit in (("all of it", found.whole), ("the payload", payload if found.split else None)):
         if fit is not None and fit.smallest <= 0.0:
             yield (
-                f"Least squares alone gives {what} an impossible inertia (pseudo-inertia not positive "
-                f"definite); the nearest possible body is printed, {fit.shift:.1f} standard errors away"
+                f"Least squares alone gives {what} an impossible inertia; the nearest possible body is "
+                f"printed, {fit.shift:.1f} standard errors away"
             )
     c = found.sources[0].configuration
     ranged = ranged_body(c)

@@ -41,13 +41,10 @@ class Found(NamedTuple):
 
     def parameters(self, role: str) -> dict[str, tuple[Array, Array, bool]]:
         """{key: (values, standard errors, determined)}, in the unit of the key."""
-        result, at, of = {}, 0, self.fits[role]
-        for each in MODELS[role].parameters:
-            part = slice(at, at + each.number)
-            shown = bool((of.unknown[part] <= HIDDEN).all())
-            result[each.key] = each.factor * of.x[part], each.factor * of.std[part], shown
-            at += each.number
-        return result
+        parameters, of = MODELS[role].parameters, self.fits[role]
+        ends = np.cumsum([each.number for each in parameters])[:-1]
+        parts = zip(parameters, *(np.split(x, ends) for x in (of.x, of.std, of.unknown)), strict=True)
+        return {p.key: (p.factor * x, p.factor * std, bool((u <= HIDDEN).all())) for p, x, std, u in parts}
 
 
 def identify_sensors(path: Path) -> Found:

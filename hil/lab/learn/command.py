@@ -100,8 +100,7 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
     first_rms_m = runs[0].trial.rms_m if runs[0].head is None else 1e-3 * runs[0].head.first_rms_error_mm
     steps = [
         _step(before, now, model, first_rms_m, noise.length_std_m)
-        for before, now in pairwise([None, *runs])
-        if now is not None
+        for before, now in zip([None, *runs[:-1]], runs, strict=True)
     ]
     unexplained = None if len(runs) == 1 else last.trial.tracked - expected(runs[-2], last, model)
     loops, Q, newest = model.loops, model.choice.Q, steps[-1]
@@ -232,32 +231,26 @@ def rehearse(
     outcome: Outcome | None = None
     try:
         for number in range(runs):
-            log = folder / f"{c.name}-run-{number:02d}.mcap"
-            file = folder / f"{c.name}-run-{number:02d}.csv"
-            try:
-                made = simulate(_with(c, text, file, limit_N), log=log, check_replay=False)
-                if not made["success"]:
-                    why = made["trouble"] or ", ".join(made["faults"])
-                    trouble = f"run {number}: {why}; --logs FOLDER keeps its log"
-                    break
-                past = [*past[-1:], learning_run(log)]
-                limit_N = limit_of(past[-1], known)
-                outcome = learned(past, known)
-            except (HilError, OSError) as error:
-                if not steps:
-                    raise
-                trouble = f"run {number}: {error}"
+            log, file = (folder / f"{c.name}-run-{number:02d}.{end}" for end in ("mcap", "csv"))
+            made = simulate(_with(c, text, file, limit_N), log=log, check_replay=False)
+            if not made["success"]:
+                why = made["trouble"] or ", ".join(made["faults"])
+                trouble = f"run {number}: {why}; --logs FOLDER keeps its log"
                 break
+            past = [*past[-1:], learning_run(log)]
+            limit_N = limit_of(past[-1], known)
+            outcome = learned(past, known)
             texts.append(text)
             steps.append(outcome.steps[-1])
             tell(steps[-1])
             if outcome.state != "learned":
                 break
             text = outcome.text
-    except KeyboardInterrupt:
+    except (HilError, OSError, KeyboardInterrupt) as error:
         if not steps:
             raise
-        trouble, interrupted = f"run {number}: interrupted", True
+        interrupted = isinstance(error, KeyboardInterrupt)
+        trouble = f"run {number}: {'interrupted' if interrupted else error}"
     best = min(range(len(steps)), key=lambda k: steps[k].rms_mm, default=0)
     return Series(steps, outcome, limit_N, texts[best] if texts else "", trouble, interrupted)
 

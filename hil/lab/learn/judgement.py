@@ -44,10 +44,8 @@ class Contradiction(NamedTuple):
 
 def bands(f_Hz: Array, end_Hz: float) -> list[Flags]:
     """Masks (m,) of the frequencies in each non-empty third-octave band, 0 and LOWEST_HZ to end_Hz."""
-    edges = [0.0]
-    while (edge := max(edges[-1], LOWEST_HZ) * 2.0 ** (1.0 / 3.0)) < end_Hz:
-        edges.append(edge)
-    members = [(f_Hz >= low) & (f_Hz < high) for low, high in pairwise([*edges, end_Hz])]
+    edges = LOWEST_HZ * 2.0 ** (np.arange(1, 60) / 3.0)
+    members = [(f_Hz >= low) & (f_Hz < high) for low, high in pairwise([0.0, *edges[edges < end_Hz], end_Hz])]
     return [inside for inside in members if inside.any()]
 
 

@@ -137,9 +137,7 @@ def _require_known(c: Configuration, law: LawSettings) -> None:
 def decay_rate(c: Configuration) -> Array:
     """Rate (6,) rad/s at which each leg's error decays after the end of a run."""
     dynamics = c.controller.error_dynamics()
-    if isinstance(dynamics, ErrorDynamics):
-        return np.asarray(np.sqrt(dynamics.K_P), np.float64)
-    return np.full(6, DEFAULT_DECAY)
+    return np.sqrt(dynamics.K_P) if isinstance(dynamics, ErrorDynamics) else np.full(6, DEFAULT_DECAY)
 
 
 DEFAULT_DECAY = 20.0

@@ -24,13 +24,11 @@ def find(c: Context) -> None:
     for leg in c.missing("encoder"):
         c.take_down()
         tape, reads = [], []
-        within = c.machine.length_min / FAR, c.machine.length_max * FAR
         for share, word in ((0.0, "shortest"), (1.0, "longest"), (0.5, "middle")):
             mm = 1e3 * (c.machine.length_min + share * c.machine.stroke)
             text = f"Move leg {leg} by hand to its {word}, {mm:.0f} mm, or as far as it goes"
             c.ask(Request("place", leg, share, text))
-            text = f"Measure leg {leg}, joint centre to joint centre, m"
-            tape.append(c.ask(Request("measure", leg, 0.0, text, within=within)))
+            tape.append(measured(c, leg))
             c.rest(SETTLED_S)
             reads.append(c.lengths().tolist())
         drive, spread = drives.get(leg), tape[1] - tape[0]
@@ -43,6 +41,13 @@ def find(c: Context) -> None:
             offset -= c.machine.turns_m(drive, offset)
         fact = {"drive": drive, "tape_m": tape[:2], "scale": scale, "offset_m": offset, "bent_m": bent}
         c.keep("encoder", leg, fact)
+
+
+def measured(c: Context, leg: int) -> float:
+    """Length of a leg by tape, m, as the operator measures it."""
+    within = c.machine.length_min / FAR, c.machine.length_max * FAR
+    text = f"Measure leg {leg}, joint centre to joint centre, m"
+    return c.ask(Request("measure", leg, 0.0, text, within=within))
 
 
 def tolerance(spread: float) -> float:

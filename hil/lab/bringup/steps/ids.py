@@ -36,20 +36,16 @@ def drive_of(c: Context) -> dict[int, int]:
 
 def judge(c: Context) -> list[Finding]:
     """Findings: encoders that stand still or read a second leg; exchanged drives show at the brakes."""
+    found, remedy = [], "Check encoder, coupling and cable."
     drives = {leg: fact["drives"] for leg, fact in c.table("ids").items()}
-    text, remedy = "the encoder of its drive also reads leg {}", "Check the encoder's cable."
-    found = [
-        Finding("encoder_counts_another", (drive, leg), text.format(leg), remedy)
-        for leg, counted in drives.items()
-        for drive in counted
-        if len(counted) > 1 and drive != leg
-    ]
+    for leg, counted in drives.items():
+        text = f"the encoder of its drive also reads leg {leg}"
+        others = [drive for drive in counted if drive != leg and len(counted) > 1]
+        found += [Finding("encoder_counts_another", (drive, leg), text, remedy) for drive in others]
     found += [_unmoved(c, k) for k in range(LEGS) if not any(k in counted for counted in drives.values())]
-    named, remedy = {f.legs[0] for f in found}, "Check encoder, coupling and cable."
+    blind = {leg for leg, counted in drives.items() if not counted} - {f.legs[0] for f in found}
     return found + [
-        Finding("encoder_unseen", (leg,), "no encoder reads its length", remedy)
-        for leg, counted in drives.items()
-        if not counted and leg not in named
+        Finding("encoder_unseen", (k,), "no encoder reads its length", remedy) for k in sorted(blind)
     ]
 
 

@@ -8,7 +8,7 @@ from drivers.arrays import Array
 from drivers.signals import LEGS
 from hil.lab.bringup.context import SETTLED_S, TAPE_M, Context, Finding, Request, Step, gap_of
 from hil.lab.bringup.steps import scan
-from hil.lab.bringup.steps.encoder import SIGMAS, ZERO_M, tolerance_m
+from hil.lab.bringup.steps.encoder import SIGMAS, ZERO_M, measured, tolerance_m
 
 FIT_M = 4e-3
 """Largest accepted error of a leg length at a pose fixed by a jig."""
@@ -39,12 +39,7 @@ def find(c: Context) -> None:
             c.ask(Request("hang", -1, float(pose), f"{text} {pose}: {words}"))
             c.rest(SETTLED_S)
             c.keep("mounted", pose, {"q_m": c.lengths().tolist(), "answers": scan.answers(c)})
-            text, within = (
-                "Measure leg {}, joint centre to joint centre, m",
-                (m.length_min / 4, 4 * m.length_max),
-            )
-            legs = [Request("measure", k, 0.0, text.format(k), within=within) for k in range(LEGS)]
-            c.keep("taped", pose, {"q_m": [c.ask(leg) for leg in legs]})
+            c.keep("taped", pose, {"q_m": [measured(c, leg) for leg in range(LEGS)]})
     way = "Does its weight press the legs together, 1, pull at them, -1, or neither, 0"
     _load_fact(c, "presses", "read_way", way, (-1.0, 1.0))
 
@@ -132,16 +127,17 @@ def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
 
 def gap(c: Context) -> Finding | None:
     """Unproven: joints that read alike after turns lost at power-off; a mass that was not weighed."""
-    gaps, forgotten = [], c.machine.forgotten_m
+    texts, instead, forgotten = [], [], c.machine.forgotten_m
     least_m = np.inf if forgotten is None else float(forgotten.min())
     if least_m <= 4.0 * FIT_M:
-        text = f"they forget multiples of {1e3 * least_m:.3g} mm, so a leg at wrong joints may read correctly"
-        gaps.append((text, "Compare the length of each leg at both poses by tape"))
+        texts.append(
+            f"they forget multiples of {1e3 * least_m:.3g} mm, so a leg at wrong joints may read right"
+        )
+        instead.append("Compare the length of each leg at both poses by tape")
     if c.facts["load"]["mass_kg"] == 0.0:
-        text = "the platform was not weighed, so it may drop or leap as the brakes open"
-        gaps.append((text, f"Make sure that all of it weighs {c.machine.platform_kg:.4g} kg"))
-    texts, instead = zip(*gaps, strict=True) if gaps else ((), ())
-    return gap_of("; ".join(texts), ". ".join(instead)) if gaps else None
+        texts.append("the platform was not weighed, so it may drop or leap as the brakes open")
+        instead.append(f"Make sure that all of it weighs {c.machine.platform_kg:.4g} kg")
+    return gap_of("; ".join(texts), ". ".join(instead)) if texts else None
 
 
 STEP = Step(

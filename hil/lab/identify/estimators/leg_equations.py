@@ -63,8 +63,7 @@ class Equations(NamedTuple):
 
     def part(self, which: Flags) -> "Equations":
         """Equations of the selected rows; which: mask (m,)."""
-        A, y, W, leg, sample = self
-        return Equations(A[which], y[which], W[which], leg[which], sample[which])
+        return Equations(*(each[which] for each in self))
 
 
 def equations_of(model: Model, signals: LegSignals) -> Equations:
@@ -141,9 +140,6 @@ def without(equations: Equations, given: Array, first: int) -> Equations:
 
 def joined(logs: list[Equations]) -> Equations:
     """The equations of several logs as one system."""
-    begun, samples = 0, []
-    for each in logs:
-        samples.append(each.sample + begun)
-        begun += int(each.sample.max(initial=-1)) + 1
-    A, y, W, leg = (np.concatenate([each[k] for each in logs]) for k in range(4))
-    return Equations(A, y, W, leg, np.concatenate(samples))
+    begun = np.cumsum([0, *(int(each.sample.max(initial=-1)) + 1 for each in logs)])
+    logs = [each._replace(sample=each.sample + first) for each, first in zip(logs, begun[:-1], strict=True)]
+    return Equations(*(np.concatenate(parts) for parts in zip(*logs, strict=True)))

@@ -84,8 +84,4 @@ def _cross(x: Array) -> Array:
 
 def _inertia_times(x: Array) -> Array:
     """Matrices L (n, 3, 6) with L [I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]^T = I x, for vectors x (n, 3)."""
-    L = np.zeros((len(x), 3, 6))
-    for row in range(3):
-        for column in range(3):
-            L[:, row, _TENSOR[row, column]] = x[:, column]
-    return L
+    return np.einsum("nj,ije->nie", x, np.eye(6)[_TENSOR])

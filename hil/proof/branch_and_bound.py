@@ -31,10 +31,8 @@ class Budget:
     """
 
     def __init__(self, boxes: int = 40_000, seconds: float = 15.0) -> None:
-        if isinstance(boxes, bool) or not isinstance(boxes, int) or boxes < 0 or not seconds > 0:
-            raise ModelError(
-                f"budget of {boxes!r} boxes and {seconds!r} s, allowed: a whole number >= 0 and seconds > 0"
-            )
+        if type(boxes) is not int or boxes < 0 or not seconds > 0:
+            raise ModelError(f"budget of {boxes!r} boxes, {seconds!r} s, allowed: a whole number >= 0, > 0 s")
         self.seconds = seconds
         self.left = boxes
         self.ended = False
@@ -100,8 +98,8 @@ SMALLEST = 2.0**-40
 
 
 def covered(
-    cells: Iterable[Cell], holds: Callable[[Sequence[Ball]], bool], budget: Budget, limit: int = 10_000,
-    fails: Callable[[Sequence[Ball]], bool] | None = None,
+    cells: Iterable[Cell], holds: Callable[[Sequence[Ball]], bool], budget: Budget, limit: int,
+    fails: Callable[[Sequence[Ball]], bool] = lambda _: False,
 ) -> bool:  # fmt: skip
     """Prove a property on all cells: `holds` is true for each, or after halving for each of its parts.
 
@@ -121,26 +119,18 @@ def covered(
         widest = max(range(len(cell)), key=lambda k: cell[k][1] - cell[k][0]) if cell else 0
         if not cell or cell[widest][1] - cell[widest][0] < SMALLEST:
             return False
-        if fails is not None and fails([ball(m, m) for m in middle(cell)]):
+        if fails([ball(m, m) for m in middle(cell)]):
             return False
         stack.extend(halves(cell, widest))
     return True
 
 
 def positive(
-    functions: Sequence[Callable[[Sequence[Ball]], Ball]],
-    cells: Iterable[Cell],
-    budget: Budget,
-    limit: int = 10_000,
+    functions: Sequence[Callable[[Sequence[Ball]], Ball]], cells: Iterable[Cell], budget: Budget, limit: int
 ) -> bool:
     """Prove that at each point of the cells at least one of the functions is > 0; False: no proof found."""
-    return covered(
-        cells,
-        lambda x: any(g(x) > 0 for g in functions),
-        budget,
-        limit,
-        lambda x: all(g(x) <= 0 for g in functions),
-    )
+    fails = lambda x: all(g(x) <= 0 for g in functions)  # noqa: E731
+    return covered(cells, lambda x: any(g(x) > 0 for g in functions), budget, limit, fails)
 
 
 def middle(cell: Cell) -> list[float]:

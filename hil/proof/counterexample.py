@@ -15,10 +15,7 @@ from hil.proof.interval import Ball, Cell, Enclosure, ball, number, unsupported
 from hil.proof.signs import Signs
 from hil.proof.system import Point
 
-_SHARES = tuple(sp.Rational(*r) for r in ((1, 2), (9, 10), (1, 4), (1, 10), (1, 100), (1, 1000), (1, 1)))
-_LENGTHS = tuple(
-    sp.Rational(*r) for r in ((1, 1), (1, 10), (1, 2), (2, 1), (5, 1), (1, 100), (100, 1), (1000, 1))
-)
+_LENGTHS = tuple(map(sp.Rational, ("1", "1/10", "1/2", "2", "5", "1/100", "100", "1000", "9/10", "1/1000")))
 _ANGLES = (sp.pi / 2, sp.pi, 2 * sp.pi)
 _PARAMETERS = (sp.Integer(1), sp.Rational(1, 8), sp.Integer(8))
 _WINDOW = 4.0
@@ -85,19 +82,14 @@ def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
     directions = [d for d in product((0, 1, -1), repeat=n) if any(d)] if n <= 4 else sparse
     angles = _ANGLES if g.has(sp.sin, sp.cos, sp.tan) and not signs.system.bounded else ()
     for parameters in _parameters(signs):
-        for far in range(len(_LENGTHS)):
-            for d in directions:
-                yield {x: _step(signs, x, k, far) for x, k in zip(states, d, strict=True)} | parameters
-        for angle in angles:
-            for d in directions:
-                yield {x: k * angle for x, k in zip(states, d, strict=True)} | parameters
+        for length, d in product((*_LENGTHS, *angles), directions):
+            yield {x: _step(signs, x, k, length) for x, k in zip(states, d, strict=True)} | parameters
 
 
-def _step(signs: Signs, x: sp.Symbol, k: int, far: int) -> sp.Expr:
+def _step(signs: Signs, x: sp.Symbol, k: int, length: sp.Expr) -> sp.Expr:
+    """Coordinate at a length, at most 1, as a share of a finite side of the domain, else at the length."""
     end = signs.system.domain[x][k > 0]
-    if k == 0 or end.is_infinite:
-        return k * _LENGTHS[far]
-    return end * _SHARES[min(far, len(_SHARES) - 1)]
+    return k * length if k == 0 or end.is_infinite else end * min(length, sp.S.One)
 
 
 def _parameters(signs: Signs) -> list[Point]:

@@ -112,10 +112,10 @@ class Report:
             "kind": "proof",
             "success": c.status is Certificate.VALID,
             "certificate": c.status.value,
-            "proposed_V": None if c.V is None else str(c.V),
+            "proposed_V": c.V and str(c.V),
             "V_dot": None if c.V_dot is None else str(c.V_dot),
-            "decrease": None if c.decrease is None else c.decrease.value,
-            "counterexample": None if c.at is None else {str(x): str(value) for x, value in c.at.items()},
+            "decrease": c.decrease and c.decrease.value,
+            "counterexample": c.at and {str(x): str(value) for x, value in c.at.items()},
             "reason": c.reason,
             "equilibrium": e.status.value,
             "by": e.by,
@@ -129,36 +129,34 @@ class Report:
 
     def __str__(self) -> str:
         c, e = self.certificate, self.equilibrium
-        lines = [f"certificate: {c.status.value}{_where(c.at)}"]
-        if c.V is not None:
-            lines.append(f"  V = {c.V}, proposed from the linearisation")
-        if c.V_dot is not None:
-            lines.append(f"  dV/dt = {c.V_dot}")
-        if c.value is not None:
-            lines.append(f"  there {'dV/dt' if c.status is Certificate.GROWS else 'V'} = {c.value}")
-        lines += [f"  {text}" for text in (c.decrease.value if c.decrease else "", c.reason) if text]
-        lines.append(f"equilibrium: {e.status.value}" + (f", {e.by}" if e.by else ""))
-        if e.asymptotic is Truth.REFUTED and e.status is not Equilibrium.UNSTABLE:
-            lines.append("  asymptotic stability: refuted")
-        if e.box is not None:
-            sides = ", ".join(f"{x} in [{low}, {high}]" for x, (low, high) in e.box.items())
-            lines.append(f"  shown for {sides}")
-        if e.level is not None:
-            tends = "" if e.asymptotic is not Truth.PROVEN else ", its trajectories tend to the equilibrium"
-            lines.append(f"  {{V < {e.level}}} within this box is invariant{tends}")
-        lines.append(f"linearisation: {self.linearisation.value}")
-        if self.parameters:
-            lines.append("for all " + ", ".join(_range(p, *side) for p, side in self.parameters.items()))
-        return "\n".join(lines)
+        there = "dV/dt" if c.status is Certificate.GROWS else "V"
+        where = "" if c.at is None else " at " + ", ".join(f"{x} = {value}" for x, value in c.at.items())
+        still = e.asymptotic is Truth.REFUTED and e.status is not Equilibrium.UNSTABLE
+        tends = "" if e.asymptotic is not Truth.PROVEN else ", its trajectories tend to the equilibrium"
+        lines = {
+            f"certificate: {c.status.value}{where}": True,
+            f"  V = {c.V}, proposed from the linearisation": c.V is not None,
+            f"  dV/dt = {c.V_dot}": c.V_dot is not None,
+            f"  there {there} = {c.value}": c.value is not None,
+            f"  {c.decrease and c.decrease.value}": c.decrease,
+            f"  {c.reason}": c.reason,
+            f"equilibrium: {e.status.value}" + f", {e.by}" * bool(e.by): True,
+            "  asymptotic stability: refuted": still,
+            f"  shown for {_ranges(e.box or {})}": e.box is not None,
+            f"  {{V < {e.level}}} within this box is invariant{tends}": e.level is not None,
+            f"linearisation: {self.linearisation.value}": True,
+            f"for all {_ranges(self.parameters)}": self.parameters,
+        }
+        return "\n".join(line for line, applies in lines.items() if applies)
 
 
 def _sides(box: Box) -> dict[str, list[str]]:
     return {str(x): [str(end) for end in side] for x, side in box.items()}
 
 
-def _range(p: sp.Symbol, low: sp.Expr, high: sp.Expr) -> str:
-    return f"{p} > 0" if high == sp.oo else f"{p} in [{low}, {high}]"
-
-
-def _where(at: Point | None) -> str:
-    return "" if at is None else " at " + ", ".join(f"{x} = {value}" for x, value in at.items())
+def _ranges(box: Box) -> str:
+    """Ranges as text; without an upper end all positive numbers."""
+    sides = box.items()
+    return ", ".join(
+        f"{x} > 0" if (low, high) == (0, sp.oo) else f"{x} in [{low}, {high}]" for x, (low, high) in sides
+    )

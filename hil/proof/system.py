@@ -98,12 +98,12 @@ def make_system(
     without an enclosure; if an option contains an unknown symbol; or if a symbol has a stronger assumption
     than the claim.
     """
-    for option in (f, at or {}, box or {}, parameters or {}):
-        if not isinstance(option, Mapping):
-            raise ModelError(f"{option!r} is not a mapping from symbols to values")
+    try:
+        f, at, box, parameters = (dict(each or {}) for each in (f, at, box, parameters))
+    except (TypeError, ValueError):
+        raise ModelError("f, at, box and parameters must be mappings from symbols to values") from None
     if not f:
         raise ModelError("f has no state: it must map each state to its time derivative")
-    at, box, parameters = dict(at or {}), dict(box or {}), dict(parameters or {})
     states_named = f"which is not a state: the states are {', '.join(map(str, f))}"
     _refuse(  # a name that is not understood would change the question unseen
         ([x for x in (*f, *parameters) if type(x) not in (sp.Symbol, sp.Dummy)], "{} is not a SymPy symbol"),
@@ -136,8 +136,10 @@ def make_system(
         ({n for n in named if named.count(n) > 1}, "two symbols have the name {}: use different names"),
     )
     renamed: dict[sp.Symbol, sp.Expr] = {x: sp.Symbol(str(x), real=True) for x in f}
-    renamed |= {p: sp.Symbol(str(p), **_sign(side)) for p, side in ranges.items()}
-    renamed |= {p: sp.Symbol(str(p), positive=True) for p in free}
+    for p, (low, high) in (ranges | dict.fromkeys(free, (1, 1))).items():
+        renamed[p] = sp.Symbol(
+            str(p), **{"positive" if low > 0 else "negative" if high < 0 else "real": True}
+        )
     own = {new: old for old, new in renamed.items()}
     states = tuple(renamed[x] for x in f)
     centre = {x: exact(read(at.get(x, 0), f"`at` of {x}")) for x in f}
@@ -169,12 +171,6 @@ def _refuse(*checks: tuple[Iterable[Any], str]) -> None:
 def _assumed(s: sp.Symbol, meant: str) -> bool:
     """True if SymPy assumes no more about a symbol than `meant`, such as `real`."""
     return bool(s.assumptions0.items() <= sp.Symbol("s", **{meant: True}).assumptions0.items())
-
-
-def _sign(side: Interval) -> dict[str, bool]:
-    """SymPy assumption (positive, negative or real) that a range of a parameter permits."""
-    low, high = side
-    return {"positive": True} if low > 0 else {"negative": True} if high < 0 else {"real": True}
 
 
 def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
@@ -209,8 +205,7 @@ def _about(x: sp.Symbol, side: tuple[Any, Any] | None, centre: sp.Expr) -> Inter
             "be a number"
         )
     around = tuple(end if end.is_infinite else sp.expand(end - centre) for end in (low, high))
-    inside = all(e.is_infinite or (number(e) < 0 if k == 0 else number(e) > 0) for k, e in enumerate(around))
-    if not inside:
+    if not all(e.is_infinite or sign * number(e) > 0 for sign, e in zip((-1, 1), around, strict=True)):
         raise ModelError(
             f"the equilibrium {x} = {centre} is not inside its box [{low}, {high}]: give a wider one"
         )

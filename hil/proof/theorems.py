@@ -67,12 +67,12 @@ def verify(
     budget = Budget() if budget is None else budget
     start = budget.left
     budget.start()
-    read = budget.within(0.25, lambda: _read(f, V, at, box, parameters), None)
-    if read is None:
+    system = budget.within(0.25, lambda: make_system(f, V, at, box, parameters), None)
+    if system is None:
         status = Certificate.NONE if V is None else Certificate.UNDECIDED
         late = CertificateFinding(status, reason="the time limit passed while the input was read")
         return Report(late, _NOTHING, Eigenvalues.UNKNOWN, {}, 0)
-    system, claim = read
+    claim = None if V is None else system.read(V)
     signs, near = Signs(system, budget), Signs(system.scaled(2.0**-SHRINKS), budget)
     spectrum = budget.within(0.4, lambda: eigenvalues(near), Eigenvalues.UNKNOWN)
     if claim is None and spectrum is Eigenvalues.LEFT:
@@ -86,11 +86,6 @@ def verify(
         certificate = replace(certificate, reason=f"{certificate.reason}; {numbers}: {ROUNDED}")
     equilibrium = _equilibrium(claim, signs, near, proof, spectrum)
     return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
-
-
-def _read(f: Any, V: Any, at: Any, box: Any, parameters: Any) -> tuple[System, sp.Expr | None]:
-    system = make_system(f, V, at, box, parameters)
-    return system, None if V is None else system.read(V)
 
 
 @dataclass(frozen=True)

@@ -216,12 +216,8 @@ class Linearised:
         self, robot: Model, believed: Model, axes: Literal["joint", "pose"], load: Load, friction: Friction
     ) -> None:
         """Both models must be without friction; `friction` bounds the error of the law's friction model."""
-        self.robot = robot
-        self.believed = believed
-        self.axes = axes
-        self.load = load
-        self.friction = friction
-        self._joint = axes == "joint"
+        self.robot, self.believed, self.axes, self._joint = robot, believed, axes, axes == "joint"
+        self.load, self.friction = load, friction
 
     def _robot(self, p: Array, R: Array, twist: Array) -> _Robot:
         found = robot_kernel(self.robot.constants, p, R.reshape(-1, 3), np.ascontiguousarray(twist))

@@ -54,15 +54,10 @@ class Iterated(NamedTuple):
 
 def bounds_over_frequency(M: LinearSystem, blocks: list[Block], omega: Array) -> Bounds:
     """Upper bounds on mu of M at the frequencies `omega` and at 16 more around the peak."""
-    first = upper_bound(M.response(omega), blocks)
-    k = int(first.bound.argmax())
-    low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
-    finer = np.geomspace(low, high, 18)[1:-1]
-    finer = finer[~np.isclose(finer, omega[k], rtol=1e-9)]
-    second = upper_bound(M.response(finer), blocks)
-    order = np.argsort(np.concatenate([omega, finer]))
-    merged = (np.concatenate([a, b])[order] for a, b in zip(first, second, strict=True))
-    return Bounds(np.concatenate([omega, finer])[order], UpperBound(*merged))
+    k = int(upper_bound(M.response(omega), blocks).bound.argmax())
+    finer = np.geomspace(omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)], 18)[1:-1]
+    omega = np.sort(np.concatenate([omega, finer[~np.isclose(finer, omega[k], rtol=1e-9)]]))
+    return Bounds(omega, upper_bound(M.response(omega), blocks))
 
 
 def with_own(omega: Array, M: LinearSystem) -> Array:

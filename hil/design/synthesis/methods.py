@@ -120,21 +120,14 @@ def _refuse_weights(
         )
     best = found.gamma_opt if found.gamma_opt >= 1.0 else found.gamma  # the first tried, a hundredth above
     causes = ["disturbance", *(f"noise of {name}" for name in inputs)] if closed.is_stable() else []
-    shares = {
-        f"{cause} to {effect}": norm(
-            closed._replace(B=closed.B[:, [j]], C=closed.C[[i]], D=closed.D[[i]][:, [j]])
-        )
-        for i, effect in enumerate(("error", "control"))
-        for j, cause in enumerate(causes)
-    }
-    largest = (
-        ", ".join(f"{name} {share:.3g}" for name, share in shares.items() if share > 0.5)
-        or "none above 0.5, all of them together"
-    )
+    shares = []
+    for (i, effect), (j, cause) in product(enumerate(("error", "control")), enumerate(causes)):
+        path = closed._replace(B=closed.B[:, [j]], C=closed.C[[i]], D=closed.D[[i]][:, [j]])
+        shares.append(f"{cause} to {effect} {norm(path):.3g}")
     raise SynthesisError(
-        f"no controller meets the weights: gamma is {best:.3g} at best, allowed: below 1. Largest norms: "
-        f"{largest}. Allow more error or more control, or state less disturbance, noise or delay"
-        f"{raised}"
+        f"no controller meets the weights: gamma is {best:.3g} at best, allowed: below 1. Norms of its "
+        f"paths: {', '.join(shares) or 'none'}. Allow more error or more control, or state less disturbance, "
+        f"noise or delay{raised}"
     )
 
 

@@ -38,9 +38,7 @@ class UpperBound(NamedTuple):
     """(N, blocks) scales > 0, 1 in the last: bound = largest singular value of D M D^-1."""
 
 
-def upper_bound(
-    M: ComplexArray, blocks: list[Block], *, accuracy: float = 1e-4, iterations: int = 100
-) -> UpperBound:
+def upper_bound(M: ComplexArray, blocks: list[Block], *, accuracy: float = 1e-4) -> UpperBound:
     """Smallest upper bound on mu of M that scales of the blocks can prove: a convex problem.
 
     beta >= mu if there are D > 0 that commute with Delta with M^H D^2 M <= beta^2 D^2. The least beta is the
@@ -67,7 +65,7 @@ def upper_bound(
     best, best_x = _proven(x, gains, inputs), x.copy()
     beta = highest = 1.05 * best + 1e-300
     idle = 0
-    for _ in range(iterations):
+    for _ in range(100):
         basis = beta[:, None, None, None] ** 2 * units - gains
         fixed, basis = basis[:, n - 1], basis[:, : n - 1]
         for _ in range(2):

@@ -50,7 +50,6 @@ READY_S, REPORT_S = 0.1, 0.3
 """Longest wait for a drive to change its state, s; REPORT_S is added if only heartbeats report the state."""
 ANSWER_S, MOST_REQUESTS = 0.05, 5
 """Wait for an answer to an identity request, s, and the largest number of requests."""
-_PROBES = 200
 SAFE_TICKS = 10
 """Off commands at every end, since the bus may lose some."""
 Sink = Callable[[Record, Sequence[Received], Sequence[Frame]], None]
@@ -246,11 +245,6 @@ class Drives:
         forces = np.zeros(LEGS)
         forces[leg] = force
         return float(self._live.carried(forces)[leg])
-
-    def force_step(self, leg: int, force: float) -> float:
-        """Resolution, N, of commands between `force`/2 and `force`; 0 if finer than 1/400 of `force`."""
-        carried = {self.carried(leg, force * (0.5 + 0.5 * k / _PROBES)) for k in range(_PROBES)}
-        return 0.5 * force / len(carried) if len(carried) < _PROBES else 0.0
 
     def off(self, seconds: float = 0.0) -> None:
         """Command all drives to zero force and no power for `seconds`, for at least SAFE_TICKS ticks."""

@@ -144,10 +144,7 @@ def _refuse_strange(
     """Refuse readings in another unit or of another robot: a fit would distort the joints."""
     guess = suspicion(robot, measured)
     if guess is not None:
-        raise ConfigurationError(
-            f"{poses}: lengths and poses do not match; they would match if they were {guess}. "
-            "Columns carry their unit; R turns platform axes into base axes"
-        )
+        raise ConfigurationError(f"{poses}: lengths and poses do not match; they would match if {guess}")
     expected = predicted(robot, measured)
     away = measured.q - start_offsets(robot, measured) - expected
     low, high = c.platform.length_min_m, c.platform.length_max_m

@@ -105,19 +105,17 @@ def suspicion(platform: Platform, measured: Measurements) -> str | None:
     p, r, q = measured.p, measured.rotation_vector, measured.q
     back = -np.einsum("kji,kj->ki", measured.rotations(), p)
     others = {
-        "positions and lengths in mm instead of m": Measurements(p / 1e3, r, q / 1e3),
-        "positions in mm instead of m": Measurements(p / 1e3, r, q),
-        "lengths in mm instead of m": Measurements(p, r, q / 1e3),
-        "the inverse poses (base in the platform's frame)": Measurements(back, -r, q),
+        "positions and lengths are in mm instead of m": Measurements(p / 1e3, r, q / 1e3),
+        "positions are in mm instead of m": Measurements(p / 1e3, r, q),
+        "lengths are in mm instead of m": Measurements(p, r, q / 1e3),
+        "the poses are inverse (base in the platform's frame)": Measurements(back, -r, q),
     }
     if float(np.linalg.norm(r, axis=1).max()) <= np.pi**2 / 180:
-        others["rotation vectors in rad instead of deg"] = Measurements(p, np.rad2deg(r), q)
+        others["rotation vectors are in rad instead of deg"] = Measurements(p, np.rad2deg(r), q)
     as_given = spread(measured)
-    found = {name: spread(other) for name, other in others.items()}
-    best = min(found, key=found.__getitem__)
-    scale = float(np.abs(platform.base_joints).max())
+    least, best = min((spread(other), name) for name, other in others.items())
     # Below a hundredth of the robot's size it may as well be the joints that are wrong.
-    return best if as_given > 0.01 * scale and found[best] < as_given / 5 else None
+    return best if as_given > 0.01 * np.abs(platform.base_joints).max() and least < as_given / 5 else None
 
 
 def calibrate(platform: Platform, measured: Measurements) -> Calibration:

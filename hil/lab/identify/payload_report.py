@@ -147,8 +147,8 @@ def summary(found: Found) -> dict[str, Any]:
         "parameters": dict(zip(NAMES, found.theta[:SIZE].tolist(), strict=True)),
         "parameters_std": dict(zip(NAMES, e.std[:SIZE].tolist(), strict=True)),
         "parameters_believed": dict(zip(NAMES, found.believed[:SIZE].tolist(), strict=True)),
-        "platform": _plain(found.theta[:SIZE]),
-        "payload": _plain(found.theta[:SIZE] - found.carrier) if found.split else None,
+        "platform": _body_keys(body_of(found.theta[:SIZE])),
+        "payload": _body_keys(body_of(found.theta[:SIZE] - found.carrier)) if found.split else None,
         **{key: value.tolist() for key, (value, _) in drives.items()},
         **{f"{key}_std": std.tolist() for key, (_, std) in drives.items()},
         "reflected_mass": "identified" if found.reflected_kg is None else "given",
@@ -165,13 +165,6 @@ def summary(found: Found) -> dict[str, Any]:
         "held_out_N": {name: list(pair) for name, pair in found.held_out.items()},
         "block": block(found),
     }
-
-
-def _plain(theta: Array) -> dict[str, Any]:
-    body = body_of(theta)
-    return {
-        "mass_kg": body.mass, "com_m": body.com.tolist(), "inertia_kg_m2": body.inertia.tolist()
-    }  # fmt: skip
 
 
 def report(found: Found) -> Iterator[str]:
@@ -227,9 +220,9 @@ def _physics(found: Found) -> Iterator[str]:
                 f"Least squares alone gives {what} an impossible inertia; the nearest possible body is "
                 f"printed, {fit.shift:.1f} standard errors away"
             )
-    c = found.sources[0].configuration
-    ranged = ranged_body(c)
-    carrier = "section platform" if ranged is None else "section platform without the payload given by ranges"
+    ranged = ranged_body(found.sources[0].configuration)
+    ranges = "" if ranged is None else shown_ranges(ranged)
+    carrier = "section platform" + f" without {ranges}" * bool(ranges)
     if payload is None:
         yield f"No payload in addition to {carrier}"
     elif found.split:
@@ -242,22 +235,12 @@ def _physics(found: Found) -> Iterator[str]:
             f"the rest (the nearest one is {payload.shift:.1f} standard errors away, allowed: {SURE:g}): the "
             "data of the platform itself are wrong"
         )
-    yield _in_block(found, "" if ranged is None else shown_ranges(ranged))
-
-
-def _in_block(found: Found, ranges: str) -> str:
-    """Line that says how the keys to paste represent the body; ranges: the ranged payload, as text."""
     if not body_shown(found):
-        return (
-            "The block leaves the body out, since this motion does not show all its parameters: log motion "
-            "along and about all three axes"
-        )
-    if not body_differs(found):
-        return (
-            f"The block leaves the body out: it equals section platform within {SURE:g} standard errors "
-            f"or {100.0 * LEAST_PAYLOAD:g} % of the platform's size"
-        )
-    lost = f"; state the ranges of {ranges} again next to it" if ranges else ""
-    if not found.split:
-        return f"The block has the ten parameters of the whole, in platform axes, and no payload{lost}"
-    return f"The block has it {f'in place of {ranges}' if ranges else 'as one more body'}{lost}"
+        yield "The block leaves the body out: log motion along and about all three axes to show all of it"
+    elif not body_differs(found):
+        size = f"{SURE:g} standard errors or {100.0 * LEAST_PAYLOAD:g} % of the platform's size"
+        yield f"The block leaves the body out: it equals section platform within {size}"
+    else:
+        whole = "the ten parameters of the whole, in platform axes, and no payload"
+        lost = f"; state the ranges of {ranges} again next to it" if ranges else ""
+        yield f"The block has {'it as one more body' if found.split else whole}{lost}"

@@ -125,15 +125,15 @@ def test_calibration_without_tilted_poses_reports_common_joint_shifts_as_undeter
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda m: Measurements(m.p * 1e3, m.rotation_vector, m.q), "positions in mm"),
-        (lambda m: Measurements(m.p, m.rotation_vector, m.q * 1e3), "lengths in mm"),
-        (lambda m: Measurements(m.p * 1e3, m.rotation_vector, m.q * 1e3), "positions and lengths in mm"),
-        (lambda m: Measurements(m.p, np.deg2rad(m.rotation_vector), m.q), "in rad instead of deg"),
+        (lambda m: Measurements(m.p * 1e3, m.rotation_vector, m.q), "positions are in mm"),
+        (lambda m: Measurements(m.p, m.rotation_vector, m.q * 1e3), "lengths are in mm"),
+        (lambda m: Measurements(m.p * 1e3, m.rotation_vector, m.q * 1e3), "positions and lengths are in mm"),
+        (lambda m: Measurements(m.p, np.deg2rad(m.rotation_vector), m.q), "are in rad instead of deg"),
         (
             lambda m: Measurements(
                 -Rotation.from_rotvec(m.rotation_vector).inv().apply(m.p), -m.rotation_vector, m.q
             ),
-            "inverse poses",
+            "poses are inverse",
         ),
     ],
 )

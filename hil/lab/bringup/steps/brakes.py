@@ -202,13 +202,11 @@ def judge(c: Context) -> list[Finding]:
     for leg in set(loose) - inverted.keys():
         remedy = "Check the brake, its supply and its air gap; do not load this leg."
         name("brake_stuck_open", [leg], "it moves when pushed, with its brake commanded shut", remedy)
-    crossed = {
-        d: j for d, j in counts.items() if j != d and d in opens and has_crossed_encoder(d, counts, opens)
-    }
-    exchanged = {d: j for d, j in counts.items() if j != d and d not in crossed}
+    misread = {d: j for d, j in counts.items() if j != d}
+    crossed = {d: j for d, j in misread.items() if d in opens and has_crossed_encoder(d, counts, opens)}
+    exchanged = {d: j for d, j in misread.items() if d not in crossed}
     if exchanged:
-        nodes = c.machine.node_ids
-        order = list(nodes)
+        nodes, order = c.machine.node_ids, [*c.machine.node_ids]
         for drive, leg in exchanged.items():
             order[leg] = nodes[drive]
         text = "; ".join(f"node {nodes[d]} is the drive of leg {j}, not {d}" for d, j in exchanged.items())
@@ -239,9 +237,7 @@ def judge(c: Context) -> list[Finding]:
             remedy = f"Check its relay, diode and air gap; or configure its true time. {_OR_LATE}"
             name("brake_late", opens[drive], text, remedy)
         elif not fact["opens"]:
-            text = (
-                f"pushed, it does not move within engage.brake_release_s, {1e3 * open_s:g} ms, of its opening"
-            )
+            text = f"pushed, it does not move within {1e3 * open_s:g} ms of opening, engage.brake_release_s"
             remedy = f"Check its supply and air gap; or configure its true time. {_OR_LATE}"
             name("brake_opens_late", opens[drive], text, remedy)
     for drive, fact in c.table("opens").items():
@@ -286,12 +282,10 @@ def gap(c: Context) -> Finding | None:
     unseen = [drive for drive, fact in c.table("opens").items() if fact["rate_share"] is None]
     if not unseen:
         return None
-    legs = ", ".join(map(str, unseen))
-    return gap_of(
-        f"drives {legs} moved too little or too slowly to compare their rate with their reading",
-        f"Push again after `--again`, by {1e3 * RATE_STEPS * RATE_STEP_M:g} mm or more at "
-        f"{1e3 * RATE_STEP_M / RATE_STEP_S:g} mm/s or more; or compare sign and unit of their speed by hand",
-    )
+    text = f"drives {unseen} moved too little or too slowly to compare their rate with their reading"
+    by_mm, mm_s = 1e3 * RATE_STEPS * RATE_STEP_M, 1e3 * RATE_STEP_M / RATE_STEP_S
+    again = f"Push again after `--again`, by {by_mm:g} mm or more at {mm_s:g} mm/s or more"
+    return gap_of(text, f"{again}; or compare sign and unit of their speed by hand")
 
 
 STEP = Step(

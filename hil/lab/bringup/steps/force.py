@@ -135,12 +135,10 @@ def guard(c: Context, drive: int, origin: Array) -> None:
     if abs(away[leg]) > TRAVEL_M:
         c.drives.off()
         text = f"leg {leg} moved {1e3 * away[leg]:+.2f} mm by drive {drive}, allowed: {1e3 * TRAVEL_M:g} mm"
-        remedy, own = "Check its force scale, brake and load.", c.reads()[drive][0]
-        if leg != own:
-            remedy = (
-                f"Check the encoder of leg {leg}, whose brake was shut, and which leg drive {drive} moves."
-            )
-        raise StoppedError(Finding("runaway", (drive,) if leg == own else (drive, leg), text, remedy))
+        if leg == c.reads()[drive][0]:
+            raise StoppedError(Finding("runaway", (drive,), text, "Check its force scale, brake and load."))
+        remedy = f"Check the encoder of leg {leg}, whose brake was shut, and which leg drive {drive} moves."
+        raise StoppedError(Finding("runaway", (drive, leg), text, remedy))
 
 
 def breakaway(fact: dict[str, Any]) -> float | None:
@@ -160,11 +158,9 @@ def judge(c: Context) -> Iterator[Finding]:
             remedy = "Exchange two phases of the motor, or invert the sign of the torque in the drive."
             yield Finding("force_sign", (drive,), text, remedy)
         elif plus < 0 or minus > 0:
-            text = f"its leg {'shortens' if plus < 0 else 'extends'} under either sign of force"
-            remedy = (
-                "Lay the leg level on its trestle, check backlash, and try again; one step of torque, "
-                f"{step_of(c, drive):.3g} N, may exceed its friction."
-            )
+            text = f"its leg {'shortens' if plus < 0 else 'extends'} under either sign of force; a step of "
+            text += f"torque, {step_of(c, drive):.3g} N, may exceed its friction"
+            remedy = "Lay the leg level on its trestle, check backlash, and try again."
             yield Finding("one_way", (drive,), text, remedy)
         elif plus and minus:
             late_s, allowed_s = fact["late_s"], LATE_S + 2.0 / c.drives.line.rate_Hz

@@ -10,7 +10,7 @@ from drivers.arrays import Array
 from hil.lab.bringup.context import Context, Finding, Request, Step, StoppedError
 from hil.lab.bringup.steps.brakes import friction
 from hil.lab.bringup.steps.encoder import tolerance
-from hil.lab.bringup.steps.force import breakaway, guard
+from hil.lab.bringup.steps.force import breakaway, guard, step_of
 
 LEVELS = (0.4, 0.6, 0.8, 1.0)
 """Gauge levels as shares of the largest step force."""
@@ -38,15 +38,7 @@ def find(c: Context) -> None:
         c.ask(Request("clamp", leg, 0.0, f"Clamp the end of leg {leg} to the force gauge, without force"))
         pairs = []
         with c.opened(drive):
-            origin, force = c.lengths(), 0.0
-
-            def hold(force: float, drive: int = drive, origin: Array = origin) -> None:
-                c.drive(drive, force)
-                try:
-                    guard(c, drive, origin)
-                except StoppedError as stop:
-                    raise StoppedError(_away(c, drive, force, stop.finding)) from None
-
+            hold, force = partial(_hold, c, drive, c.lengths()), 0.0
             for level in LEVELS:
                 aim, ticks = level * c.machine.force_N, c.drives.ticks(RAMP_S)
                 ramp = np.linspace(force, aim, ticks + 1)[1:].tolist()
@@ -60,18 +52,24 @@ def find(c: Context) -> None:
         c.keep("gauge", drive, {"pairs_N": pairs})
 
 
-def _away(c: Context, drive: int, force: float, runaway: Finding) -> Finding:
-    """Finding for a length reading that runs away although the end of the leg is clamped.
+def _hold(c: Context, drive: int, origin: Array, force: float) -> None:
+    """Command a force, N, for a tick. Raises StoppedError: a reading runs away although the leg is clamped.
 
     The force scale is wrong if the drive moves its leg with a far smaller command than a hand's force.
     """
-    by_hand, by_drive = c.known("opens", drive)["hand_N"], breakaway(c.known("force", drive))
-    text = f"{runaway.text}; at {force:.4g} N commanded, with its end clamped to the gauge"
-    if by_drive and by_hand > STRONG * by_drive:
-        return Finding("runaway", runaway.legs, f"{text}: force_scale, too much force", runaway.remedy)
-    text += ": coupling_slips (coupling, belt or nut), or its end has left the gauge"
-    remedy = "If its end has not moved, check coupling, belt and encoder; else clamp it again."
-    return Finding("coupling_or_clamp", runaway.legs, text, remedy)
+    c.drive(drive, force)
+    try:
+        guard(c, drive, origin)
+    except StoppedError as stop:
+        by_hand, by_drive = c.known("opens", drive)["hand_N"], breakaway(c.known("force", drive))
+        _, legs, text, remedy = stop.finding
+        text += f"; at {force:.4g} N commanded, with its end clamped to the gauge"
+        if by_drive and by_hand > STRONG * by_drive:
+            text += ": force_scale, too much force"
+            raise StoppedError(Finding("runaway", legs, text, remedy)) from None
+        text += ": coupling_slips (coupling, belt or nut), or its end has left the gauge"
+        remedy = "If its end has not moved, check coupling, belt and encoder; else clamp it again."
+        raise StoppedError(Finding("coupling_or_clamp", legs, text, remedy)) from None
 
 
 class Gain(NamedTuple):
@@ -89,10 +87,9 @@ def gains(c: Context) -> dict[int, Gain]:
         least = BEYOND * (breakaway(c.known("force", drive)) or 0.0)
         beyond = [pair for pair in fact["pairs_N"] if pair[0] > least]
         if len({commanded for commanded, _ in beyond}) >= 2:
-            pairs = np.array(beyond)
-            span = float(np.ptp(pairs[:, 0]))
-            step = c.drives.force_step(drive, c.machine.force_N)
-            found[drive] = Gain(float(np.polyfit(pairs[:, 0], pairs[:, 1], 1)[0]), step / span)
+            commanded, read = np.array(beyond).T
+            error = step_of(c, drive) / float(np.ptp(commanded))
+            found[drive] = Gain(float(np.polyfit(commanded, read, 1)[0]), error)
     return found
 
 
@@ -161,14 +158,9 @@ def as_lead(scale: float) -> bool:
 def scale_or_lead(drive: int, scale: float, gain: Gain | None) -> Finding:
     """Finding for an encoder scale with two possible causes; gain: force scale, None if not measured."""
     forces = "which were not measured" if gain is None else f"{gain.value:.2f} +- {gain.error:.2f} times"
-    text = (
-        f"its lengths are {scale:.4f} times the true ones; its forces, {forces}, fit encoder_scale "
-        "as well as wrong_lead (another lead or gear)"
-    )
-    remedy = (
-        "Turn its shaft by one turn, by hand, and measure by tape how far the leg moves: if that is as "
-        f"configured, multiply counts per turn in the drive by {scale:.4f}; else correct lead or gear."
-    )
+    text = f"lengths are {scale:.4f} times the tape's; forces, {forces}, fit encoder_scale or wrong_lead"
+    remedy = "Turn its shaft by one turn, by hand, and measure by tape how far the leg moves: if that is as "
+    remedy += f"configured, multiply counts per turn in the drive by {scale:.4f}; else correct lead or gear."
     return Finding("scale_or_lead", (drive,), text, remedy)
 
 

@@ -33,7 +33,7 @@ from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
-from hil.robot.kinematics_kernels import jacobian_kernel
+from hil.robot.kinematics import jacobian
 
 Forces = Callable[[Array, Array, Array], Array]
 """Leg forces (6,) N of a law at p, R and a twist, with its reference at rest."""
@@ -162,7 +162,7 @@ def rest(robot: Model, tau: Forces, p: Array, R: Array) -> tuple[Array, Array, S
 
 
 def _springs(robot: Model, tau: Forces, p: Array, R: Array) -> Springs:
-    J, held = _jacobian(robot, p, R), tau(p, R, ZERO6)
+    J, held = jacobian(robot.platform, p, R), tau(p, R, ZERO6)
     mobility = np.asarray(np.linalg.inv(robot.mass_matrix(p, R)), float)
     law = -J.T @ _slopes(lambda x: tau(*displaced(p, R, x), ZERO6))
     damping = -J.T @ _slopes(lambda x: tau(p, R, x))
@@ -176,11 +176,7 @@ def _slopes(of: Callable[[Array], Array]) -> Array:
 
 def _wrench(robot: Model, p: Array, R: Array, tau: Array) -> Array:
     """Wrench (6,) N, N m on the platform: leg forces tau (6,) N minus weight, base frame."""
-    return _jacobian(robot, p, R).T @ tau - kernels.gravity_kernel(robot.constants, p, R)
-
-
-def _jacobian(robot: Model, p: Array, R: Array) -> Array:
-    return jacobian_kernel(robot.platform.base_joints, robot.platform.platform_joints, p, R)
+    return jacobian(robot.platform, p, R).T @ tau - kernels.gravity_kernel(robot.constants, p, R)
 
 
 def cubic_rest(x_d: Array, K_p: Array, linear: Array, cubic: Array) -> Array:

@@ -1,6 +1,5 @@
 """Fits gain, delay and lag in front of a double integrator to measured responses, and bounds the error."""
 
-from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -8,30 +7,18 @@ from scipy.optimize import least_squares
 
 from drivers.arrays import Array, ComplexArray, Flags
 from drivers.errors import IdentificationError
+from hil.design.stability.sampled_loop import sampled_axis
 from hil.lab.identify.estimators.response import Response
+from hil.mathematics.linear_system import lag
 
 
 def axis_response(frequency_Hz: Array, period_s: float, transport_s: float, lag_s: float) -> ComplexArray:
-    """Response (n,) s^2 of P(s) = exp(-transport s) / (lag s + 1) / s^2 after a zero-order hold.
+    """Response (n,) s^2 of exp(-transport s) / (lag s + 1) / s^2 after a hold of a period, exact at samples.
 
-    It is exact from samples of the demanded acceleration to samples of the position. The hold turns the
-    samples into steps; the step response of P without its delay is y(t) = t^2/2 - lag t + lag^2 (1 -
-    exp(-t/lag)), and G(z) = (1 - 1/z) sum y(k T - transport) z^-k. This is the modified z-transform of a
-    plant with a delay that is not a multiple of the period T (E. I. Jury, Theory and Application of the
-    z-Transform Method, 1964). Far below the rate it is (1 - exp(-s T)) / (s T) P(s): at 30 Hz and 1 kHz
-    within 0.001 %.
+    Far below the rate it is (1 - exp(-s T)) / (s T) times that: at 30 Hz and 1 kHz within 0.001 %.
     """
-    T, tau = period_s, lag_s
-    w = np.exp(-2j * np.pi * np.asarray(frequency_Hz, float) * T)  # 1/z
-    d = max(ceil(transport_s / T - 1e-12), 0)
-    delta = d * T - transport_s  # rest of the period at the first sample after the delay
-    s0 = 1.0 / (1.0 - w)
-    s1 = w * s0**2  # sum k w^k
-    s2 = w * (1.0 + w) * s0**3  # sum k^2 w^k
-    total = 0.5 * (T * T * s2 + 2.0 * T * delta * s1 + delta * delta * s0) - tau * (T * s1 + delta * s0)
-    if tau > 1e-9 * T:
-        total += tau * tau * (s0 - np.exp(-delta / tau) / (1.0 - np.exp(-T / tau) * w))
-    return np.asarray((1.0 - w) * w**d * total, np.complex128)
+    axis = sampled_axis(transport_s, lag(lag_s if lag_s > 1e-9 * period_s else 0.0), period_s)
+    return axis.response(2.0 * np.pi * np.asarray(frequency_Hz, float))[:, 0, 0]
 
 
 COHERENT = 0.9

@@ -8,6 +8,7 @@ next to a derivative at t', would belong to two different points, and cells of t
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from math import lcm
 
 import sympy as sp
@@ -26,33 +27,25 @@ Weights = tuple[int, ...]
 
 
 class Ray:
-    """g along x_i = t^w_i u_i, as a function of t: powers of t with coefficients in u, and a rest.
-
-    Mutable: caches its derivatives.
-    """
+    """g along x_i = t^w_i u_i, as a function of t. Mutable: caches its derivatives."""
 
     def __init__(self, g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights) -> None:
         self.u = tuple(sp.Dummy(f"u{k}", real=True) for k in range(len(states)))
         there = {x: T**w * u for x, u, w in zip(states, self.u, weights, strict=True)}
         along = _without_t(sp.expand(g.xreplace(there)))
-        self.powers: dict[int, sp.Expr] = {}
-        self.rest = sp.S.Zero
-        for term in sp.Add.make_args(along):
-            coefficient, power = term.as_independent(T)
-            base, exponent = (T, sp.S.Zero) if power == 1 else power.as_base_exp()
-            if base == T and exponent.is_Integer and exponent >= 0:
-                self.powers[int(exponent)] = self.powers.get(int(exponent), sp.S.Zero) + coefficient
-            else:
-                self.rest += term
-        self._derivatives = [self.rest]
-        self.smooth = not any(node.has(T) for node in self.rest.atoms(sp.Abs) | _rough(self.rest))
+        self.powers: dict[int, sp.Expr] | None = None
+        """Coefficients of a polynomial in t, functions of u; None for any other function."""
+        with suppress(sp.PolynomialError):
+            self.powers = {j: c for (j,), c in sp.Poly(along, T).terms()}
+        self._derivatives = [along]
+        rough = along.atoms(sp.Abs) | _rough(along)
+        self.smooth = self.powers is not None or not any(node.has(T) for node in rough)
 
     def at_zero(self, j: int) -> sp.Expr:
         """Taylor coefficient of t^j at t = 0, as a function of u."""
-        if self.rest == 0:
+        if self.powers is not None:
             return sp.expand(self.powers.get(j, sp.S.Zero))
-        taylor = self._derivative(j).subs(T, 0) / sp.factorial(j)
-        return sp.expand(self.powers.get(j, sp.S.Zero) + taylor)
+        return sp.expand(self._derivative(j).subs(T, 0) / sp.factorial(j))
 
     def order(self) -> int | None:
         """Lowest j with a nonzero coefficient of t^j; None above HIGHEST_ORDER, or if g is not smooth."""
@@ -63,16 +56,14 @@ class Ray:
     def remainder(self, k: int) -> sp.Expr:
         """c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero.
 
-        If g contains t only in powers, the equation holds at t itself.
+        If g is a polynomial in t, the equation holds at t itself.
         """
-        higher = [(j, c) for j, c in self.powers.items() if j >= k]
-        if self.rest == 0:
-            return sp.Add(*(c * T ** (j - k) for j, c in higher))
-        powers = sp.Add(*(sp.binomial(j, k) * c * T ** (j - k) for j, c in higher))
-        return powers + self._derivative(k) / sp.factorial(k)
+        if self.powers is not None:
+            return sp.Add(*(c * T ** (j - k) for j, c in self.powers.items() if j >= k))
+        return self._derivative(k) / sp.factorial(k)
 
     def _derivative(self, j: int) -> sp.Expr:
-        """j-th derivative of g without its pure powers of t; nan, which proves nothing, if too long."""
+        """j-th derivative of g along the ray; nan, which proves nothing, if too long."""
         while len(self._derivatives) <= j:
             last = self._derivatives[-1]
             self._derivatives.append(sp.nan if last.count_ops() > LONGEST else sp.diff(last, T))

@@ -4,8 +4,6 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import Any
 
-import numpy as np
-
 from drivers.protocol import SERIAL
 from drivers.signals import LEGS, DriveState, Foreign
 from hil.lab.bringup.context import Context, Finding, Step, forget_legs
@@ -139,8 +137,7 @@ def _polls(c: Context) -> int:
 
 def answers(c: Context) -> list[float]:
     """Share of the polls, 0 to 1, that each drive answers, with all drives off."""
-    heard = [c.drives.step()["age"] == 0 for _ in range(_polls(c))]
-    return [float(share) for share in np.mean(heard, axis=0)]
+    return [heard / _polls(c) for heard in _listen(c)[0]]
 
 
 def lost_frames(answers: dict[int, float]) -> Iterator[Finding]:

@@ -57,22 +57,6 @@ def told(*arguments: Any) -> Any:
     return CliRunner(env={"COLUMNS": "200"}).invoke(main, ["learn", *map(str, arguments)])
 
 
-@pytest.mark.long
-def test_iterative_learning_reduces_the_tracking_error_from_run_to_run_down_to_the_noise_floor(made):
-    folder, found = made
-    assert not found.trouble
-    rms = [step.rms_mm for step in found.steps]
-    assert rms == sorted(rms, reverse=True)
-    assert rms[1] / rms[0] == pytest.approx(0.5, abs=0.03), "the first step is half of one"
-    assert rms[0] / rms[-1] > 20.0
-    assert found.steps[0].peak_mm / found.steps[-1].peak_mm > 10.0
-    rows = Log.open(log(folder, 3)).rows()
-    tracking = rows[rows["mode"] == Mode.TRACKING][:500]
-    e = 1e3 * (tracking["q_d"] - tracking["q"])
-    assert rms[3] == pytest.approx(np.sqrt((e**2).mean()), rel=1e-9)
-    assert found.steps[3].peak_mm == pytest.approx(np.abs(e).max(), rel=1e-9)
-
-
 def test_log_contains_the_learned_forces_and_replays_without_their_file(made, tmp_path):
     folder, _ = made
     alone = tmp_path / "alone.mcap"

@@ -10,12 +10,10 @@ import pytest
 
 from drivers.cia402 import objects
 from drivers.protocol import REVISION, SERIAL, Frame
-from hil.app.compose import build_protocol
 from hil.lab.bringup.drives import MOST_REQUESTS
 from hil.lab.bringup.procedure import STEPS
 from plant_fmu.drives.cia402_dictionary import PLACE, defaults
 from tests.broad import broad
-from tests.hil.lab.bringup.families import FAMILIES, family
 from tests.hil.lab.bringup.rehearsals import Rehearsal, named
 
 SCAN, BY_HAND = STEPS[:1], STEPS[:4]
@@ -172,21 +170,6 @@ def test_bring_up_repeats_the_measurements_of_a_replaced_drive_only(monkeypatch,
     assert [text for text in said if told in text]
     assert "mounted" not in third.context.facts
     assert third.context.facts["watchdog"].keys() == set("012345")
-
-
-def test_identities_of_each_family_are_read():
-    told = {}
-    for name in ("cia402_pdo", "robstride", "odrive", "damiao", "moteus_stopped", "cubemars", "legs_fd"):
-        rehearsal = Rehearsal(name)
-        told[name] = rehearsal.drives.identities()
-    assert told["cia402_pdo"][4] == {"serial number": 5, "revision": 1}
-    assert [who["serial number"] for who in told["robstride"]] == [1, 2, 3, 4, 5, 6]
-    assert [who["serial number"] for who in told["odrive"]] == [1, 2, 3, 4, 5, 6]
-    assert told["moteus_stopped"][4] == {"serial number": 5, "revision": 0x010000}
-    assert told["damiao"][5] == {"serial number": 6, "revision": 1}
-    assert told["cubemars"] == told["legs_fd"] == ({},) * 6
-    silent = {name for name in FAMILIES if not build_protocol(family(name)).traits.identity_requests}
-    assert silent == {"legs_fd", "legs_classic", "cubemars", "mini_cheetah"}
 
 
 @pytest.mark.parametrize(("every", "found"), [(1000, False), (100, False), (16, True)])

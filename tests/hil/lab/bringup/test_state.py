@@ -156,18 +156,3 @@ def test_all_measurements_are_discarded_if_the_configured_hardware_changed(case,
     other = loads(with_changes(c.text, changes), "other.yaml", c.folder)
     again = Store(path, identity(other, ()))
     assert (again.changed, again.facts) == (changed, {"platform": {"hung": True}})
-
-
-@pytest.mark.long
-def test_only_the_repaired_leg_is_measured_again_after_a_finding(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    c = load("virtual")
-    state = tmp_path / "s.json"
-    bad = Rehearsal("virtual", "encoder_sign leg=3")
-    store = Store(state, identity(c, ()))
-    bad.context.facts, bad.context.save = store.facts, store.save
-    store.forget(bad.run().findings)
-    good = Rehearsal("virtual", facts=Store(state, identity(c, ())).facts)
-    assert good.run().success
-    acts = [r.act for r in good.hands.requests]
-    assert {r.leg for r in good.hands.requests[: acts.index("hang")] if r.leg >= 0} == {3}

@@ -11,13 +11,12 @@ from hil.lab.identify.estimators.leg_motion import (
     LegSignals,
     bell,
     half_ticks,
-    leg_to_platform,
     platform_motion,
     smooth,
 )
 from hil.mathematics.rotations import rotation_from_vector, rotation_motion_kernel
 from hil.robot.geometry import Platform
-from hil.robot.kinematics import jacobian, jacobian_rate, leg_lengths
+from hil.robot.kinematics import leg_lengths
 
 BOOK = json.loads((Path(__file__).parents[3] / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
@@ -66,16 +65,6 @@ def test_value_rate_and_acceleration_pass_the_same_filter():
     assert 0.8 < share < 1.0
     assert smooth(b.first, x)[k, 0] / (w * np.cos(w * t[k])) == pytest.approx(share, rel=2e-3)
     assert smooth(b.second, x)[k, 0] / (-(w**2) * np.sin(w * t[k])) == pytest.approx(share, rel=2e-3)
-
-
-def test_platform_twist_and_acceleration_from_leg_motion_invert_the_kinematics():
-    p, R, twist, dtwist = state(0.43)
-    J = jacobian(PLATFORM, p, R)
-    ddq = J @ dtwist + jacobian_rate(PLATFORM, p, R, twist) @ twist
-    found = leg_to_platform(PLATFORM, p[None], R[None], (J @ twist)[None], ddq[None])
-    np.testing.assert_allclose(found[0][0], twist, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found[1][0], dtwist, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found[2][0], J, rtol=0, atol=1e-14)
 
 
 def test_twist_and_acceleration_follow_from_lengths_alone():

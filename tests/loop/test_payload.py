@@ -170,7 +170,7 @@ def test_identification_computes_forces_the_drives_do_not_report_from_commands(f
 
     monkeypatch.setattr(Log, "rows", silent)
     found = identify_payload([folder / "a.mcap"])
-    assert not found.sources[0].reported
+    assert found.sources[0].sent
     late_ms = 1e3 * found.theta[22]
     assert late_ms == pytest.approx(0.475, abs=0.02)
     assert found.theta[0] - 1150.0 == pytest.approx(MASS, rel=0.005)

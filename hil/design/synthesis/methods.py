@@ -187,7 +187,7 @@ def design_mu(
             f"to {proven:.4g} at all frequencies, and the norm of the sampled loop is {corners:.4g} at the "
             "corners of the uncertainty, allowed: all below 1; relax the weights, or raise delay_order"
         )
-    omega, upper, n = bounds.omega, bounds.upper.bound, problem.uncertain
+    omega, upper, n = bounds.omega, bounds.upper.bound, len(problem.blocks) - 1
     response = M.response(omega)
     k = np.unique(np.append(np.linspace(0, len(omega) - 1, LISTED).astype(int), upper.argmax()))
     figures = {

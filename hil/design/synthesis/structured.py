@@ -38,11 +38,6 @@ class Structured(NamedTuple):
     """
     n_y: int
 
-    @property
-    def uncertain(self) -> int:
-        """Number of uncertain blocks, each with one input and one output."""
-        return len(self.blocks) - 1
-
 
 def transport_error(
     omega: Array, transport_ms: tuple[float, float], nominal_ms: float, rate_Hz: float, order: int

@@ -260,17 +260,15 @@ def _release(
 
     Refused if the log is incomplete. The homing file is written after the operator's consent.
     """
+    by = f"{1e3 * FIRST_M:g} mm and {max(FIRST_deg):g} deg"
+    will = f"lets the brakes carry the platform, opens all six, and moves each axis by at most {by}"
     why = "not begun: the log is incomplete" if journal.trouble else ""
-    if not why:
-        journal(_TOGETHER)
-        will = (
-            "lets the brakes carry the platform, opens all six, and moves each axis by at most "
-            f"{1e3 * FIRST_M:g} mm and {max(FIRST_deg):g} deg"
-        )
-        try:
+    try:
+        if not why:
+            journal(_TOGETHER)
             agree("six legs together", will, "Ctrl-C parks, twice stops")
-        except (RefusedError, KeyboardInterrupt) as refusal:
-            why = str(refusal) or "interrupted before it began"
+    except (RefusedError, KeyboardInterrupt) as refusal:
+        why = str(refusal) or "interrupted before it began"
     if why:
         return Together(success=False, lines=[f"[ ] together: {why}"])
     if bench is not None:

@@ -56,18 +56,19 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
     passed: list[str] = []
     findings: list[Finding] = []
     gaps: list[tuple[str, Finding]] = []
-    stopped = ""
+
+    def ended(stopped: str) -> Outcome:
+        return Outcome(tuple(passed), tuple(merged(c, findings)), tuple(gaps), stopped)
+
     for step in steps:
         if findings and step.gate:
-            stopped = step.name
-            break
+            return ended(step.name)
         known, found = _proceed(c, step)
         findings += found
         for finding in found:
             c.operator.tell(f"  {finding.line}")
         if found and (step.gate or not ENDS.isdisjoint(each.name for each in found)):
-            stopped = step.name
-            break
+            return ended(step.name)
         if found:
             continue
         gap = step.gap(c)
@@ -82,7 +83,7 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
             passed.append(step.name)
             c.keep("passed", step.name, fact=True)
             c.operator.tell("  passed before" if known else "  passed")
-    return Outcome(tuple(passed), tuple(merged(c, findings)), tuple(gaps), stopped)
+    return ended("")
 
 
 def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:

@@ -108,13 +108,12 @@ def read_pairs(path: Path) -> tuple[Measurements, list[int]]:
 
 
 def _header_problems(header: list[str]) -> list[str]:
-    needed = (*AXES, *LENGTHS)
-    known = (*needed, *DEVIATIONS)
-    missing = [name for name in needed if name not in header]
-    found = [f"missing columns {','.join(missing)}; needed: {','.join(needed)}"] if missing else []
-    found += [f"unknown column {name!r}, allowed: {','.join(known)}" for name in header if name not in known]
-    found += [f"column {name} is there twice" for name in sorted(set(header)) if header.count(name) > 1]
-    if "length_std_m" not in header and {"position_std_m", "rotation_std_deg"} & set(header):
+    needed, given = (*AXES, *LENGTHS), set(header)
+    found = [f"column {name} is missing, needed: {','.join(needed)}" for name in needed if name not in given]
+    for name in sorted(given):
+        if name not in (*needed, *DEVIATIONS) or header.count(name) > 1:
+            found.append(f"column {name!r}, allowed, each once: {','.join((*needed, *DEVIATIONS))}")
+    if "length_std_m" not in given and not given.isdisjoint(DEVIATIONS):
         found.append("deviations of the poses need length_std_m, too, for their weight against a length")
     return found
 
@@ -125,13 +124,10 @@ def _row_problem(header: list[str], words: list[str]) -> str:
     values = dict(zip(header, map(plain_number, words), strict=True))
     for (name, number), word in zip(values.items(), words, strict=True):
         positive = name in LENGTHS or name == "length_std_m"
-        if not math.isfinite(number):
-            return f"{name}: allowed: a finite number, given: {word.strip()!r:.60}"
-        if not is_allowed(number):
-            return f"{name}: allowed in size: {ALLOWED}, given: {number:g}"
+        if not (math.isfinite(number) and is_allowed(number)):
+            return f"{name}: allowed: a finite number, in size {ALLOWED}, given: {word.strip()!r:.60}"
         if (positive and number <= 0) or (name in DEVIATIONS and number < 0):
-            bound = "greater than 0" if positive else "at least 0"
-            return f"{name}: allowed: {bound}, given: {number:g}"
+            return f"{name}: allowed: {'greater than' if positive else 'at least'} 0, given: {number:g}"
     angle = math.hypot(*(values[name] for name in AXES[3:]))
     if angle > 180 * (1 + 1e-12):
         return f"rotation vector of {angle:g} deg, allowed: at most half a turn, 180 deg"

@@ -60,7 +60,7 @@ def delay_of_log(path: Path) -> dict[str, Any]:
         "kind": "identify",
         "log": str(path),
         **delay_figures(delay.delays, hold_s),
-        "separable": delay.separable,
+        "separable": delay.delays.lag_std_s > 0.0,
         "explained_percent": 100.0 * delay.explained,
         "gain": delay.gain.tolist(),
         "periods": delay.periods,

@@ -69,11 +69,6 @@ class Source(NamedTuple):
     seconds: float
     """Time with open brakes, s."""
 
-    @property
-    def reported(self) -> bool:
-        """True if the drives report their forces; otherwise the delayed commands are used."""
-        return self.sent is None
-
 
 class Found(NamedTuple):
     """Identified parameters of platform, payload and drives."""

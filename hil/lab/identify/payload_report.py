@@ -141,7 +141,7 @@ def summary(found: Found) -> dict[str, Any]:
         "success": True,
         "kind": "identify",
         "logs": [str(s.path) for s in found.sources],
-        "forces": ["reported" if s.reported else "commanded" for s in found.sources],
+        "forces": ["commanded" if s.sent else "reported" for s in found.sources],
         "seconds": sum(s.seconds for s in found.sources),
         "samples": e.samples,
         "parameters": dict(zip(NAMES, found.theta[:SIZE].tolist(), strict=True)),
@@ -171,8 +171,8 @@ def report(found: Found) -> Iterator[str]:
     """Lines of text about the identified parameters, printed before the keys to paste."""
     e, hidden = found.estimate, unseen(found)
     rms = float(np.sqrt(np.mean(e.residual_N**2)))
-    reported, seconds = all(s.reported for s in found.sources), sum(s.seconds for s in found.sources)
-    forces = "as the drives report them" if reported else "as sent, late by the configured delay"
+    sent, seconds = any(s.sent for s in found.sources), sum(s.seconds for s in found.sources)
+    forces = "as sent, late by the configured delay" if sent else "as the drives report them"
     yield f"From {seconds:.1f} s with open brakes, {e.samples} instants; forces {forces}"
     yield "Platform with all it carries, about its origin (+- two standard errors):"
     for k, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True)):

@@ -4,17 +4,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from drivers.arrays import Array, Flags, Rows
 from drivers.errors import ConfigurationError, LogError
 from drivers.files import open_regular
 from drivers.signals import DriveState
 from hil.app.check.command import refuse_unreachable
-from hil.app.configuration.changes import unattended
+from hil.app.configuration.changes import unattended, with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.platform import build_platform
-from hil.app.configuration.yaml_positions import parse
 from hil.app.replay import law_of_log, open_run
 from hil.app.run.command import run_daemon
 from hil.app.sim.command import simulate
@@ -93,13 +91,8 @@ def excitation_pose(c: Configuration) -> Pose:
 
 def excited_by(c: Configuration, reference: Evaluated) -> Configuration:
     """The configuration with the given reference. Raises ConfigurationError if that is out of reach."""
-    document = dict(parse(c.text).value or {})
-    document["name"] = f"{c.name[:80]}-identify"
-    document["reference"] = reference.model_dump(mode="json")
-    document.pop("feedforward", None)
-    text = "# Made by hil identify: the reference is an excitation.\n"
-    text += yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
-    made = loads(text, c.source, c.folder)
+    changes = {"name": f"{c.name[:80]}-identify", "reference": reference.model_dump(mode="json")}
+    made = loads(with_changes(c.text, changes | {"feedforward": None}), c.source, c.folder)
     refuse_unreachable(made)
     return made
 

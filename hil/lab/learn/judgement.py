@@ -117,11 +117,6 @@ class Floor(NamedTuple):
     not_repeating_m: float
     beyond_filter_m: float
 
-    @property
-    def total_m(self) -> float:
-        """Root of the sum of squares of all parts, m."""
-        return float(np.sqrt(sum(x * x for x in self)))
-
 
 def in_band(run: Trial, Q: Filter, f_Hz: Array) -> Array:
     """Tracking error (count, 6) m after the learning filter."""

@@ -1,6 +1,7 @@
 """Report of `hil learn`: the runs, the filter, the unlearnable error with its cause, the next command."""
 
 from collections.abc import Iterator
+from math import hypot
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,7 @@ def _judged(outcome: Outcome, limit_N: float) -> Iterator[str]:
     least = f"|Q (1 - L P)| <= {choice.contraction:.2f} (largest at {choice.at_Hz:.3g} Hz)"
     yield f"Filter     zero phase, {band}: the widest with {least}"
     yield f"Plants     {outcome.learner.belief.source}"
-    yield f"Floor      {1e3 * floor.total_m:.2g} mm rms, largest part {cause(floor)}: {parts}"
+    yield f"Floor      {1e3 * hypot(*floor):.2g} mm rms, largest part {cause(floor)}: {parts}"
     if last.contradicted is not None:
         c = last.contradicted
         what = f"the error went to {100 * c.factor:.3g} % of its value in the run before"

@@ -10,6 +10,7 @@ from math import nan
 from statistics import median
 from typing import Any
 
+from drivers.arrays import Array
 from drivers.signals import LEGS
 from hil.lab.bringup.context import (
     FORCE_SHARE,
@@ -112,17 +113,20 @@ class Steps:
 
 def gives_way(c: Context, leg: int, keep: Callable[[], object]) -> tuple[bool, float]:
     """Have the operator push a leg with a brake open; return (it moved, breakaway force N)."""
-    before = c.lengths()
+    before, force = c.lengths(), 0.0
     c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: open"), keep)
     for _ in range(c.drives.ticks(PUSH_S)):
         keep()
-    moved = abs(c.travelled(before).get(leg, 0.0)) > TRAVEL_M
-    force = 0.0
-    if moved:
+    if moved := has_moved(c, leg, before):
         text = f"Read the force at which leg {leg} gave way, N"
         force = c.ask(Request("read_push", leg, 0.0, text, within=(0.0, c.machine.rated_N)), keep)
     c.ask(Request("let_go", leg, 0.0, f"Let go of leg {leg}"), keep)
     return moved, force
+
+
+def has_moved(c: Context, leg: int, before: Array, by_m: float = TRAVEL_M) -> bool:
+    """True if a leg has travelled farther than `by_m` since the readings `before` (6,) m."""
+    return abs(c.travelled(before).get(leg, 0.0)) > by_m
 
 
 def holds(c: Context, leg: int) -> dict[str, Any]:
@@ -130,12 +134,12 @@ def holds(c: Context, leg: int) -> dict[str, Any]:
     m, before = c.machine, c.lengths()
     c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: shut"))
     c.rest(PUSH_S)
-    moved, hand_N = abs(c.travelled(before).get(leg, 0.0)) > TRAVEL_M, None
+    moved, hand_N = has_moved(c, leg, before), None
     if not moved:
         least = FORCE_SHARE * m.rated_N
         text = f"Push with at least {least:.4g} N, and read the force that leg {leg} holds, N"
         hand_N = c.ask(Request("read_held", leg, 0.0, text, within=(least, m.rated_N)))
-        moved = abs(c.travelled(before).get(leg, 0.0)) > TRAVEL_M
+        moved = has_moved(c, leg, before)
     c.ask(Request("let_go", leg, 0.0, f"Let go of leg {leg}"))
     return {"moved": moved, "hand_N": hand_N}
 
@@ -151,11 +155,11 @@ def shuts(c: Context, drive: int, leg: int) -> dict[str, Any]:
     with c.opened(drive, timed=True):
         for _ in range(c.drives.ticks(MOVES_S)):
             c.drive(drive)
-        in_time = abs(c.travelled(before).get(leg, 0.0)) > MOVED_M
+        in_time = has_moved(c, leg, before, MOVED_M)
     before, late, rests = c.lengths(), 0, c.drives.ticks(STILL_S)
     for n in range(1, c.drives.ticks(UNTIMED_S) + 1):
         c.drives.step()
-        if abs(c.travelled(before).get(leg, 0.0)) > MOVED_M:
+        if has_moved(c, leg, before, MOVED_M):
             before, late = c.lengths(), n
         elif n - late >= rests:
             break

@@ -60,8 +60,6 @@ class Delay(NamedTuple):
     """Identified delays from command to force, and how well the commands explain the motion."""
 
     delays: Delays
-    separable: bool
-    """True if transport and lag could be separated; otherwise lag is 0 and transport is their sum."""
     explained: float
     """Explained share of the varying force, 0 .. 1."""
     gain: Array
@@ -86,8 +84,7 @@ def force_delay(motion: Motion, model: Model) -> Delay:
     std = T * np.sqrt(np.diag(covariance))
     # at its bound the slope of a delay is meaningless
     at_end = found[0] < 1e-3 and found[1] > 0.02
-    separable = bool(std.max() <= SURE_S) and not at_end
-    if not separable:
+    if at_end or not std.max() <= SURE_S:
         found, covariance = fit.search([(float(found.sum()),)])
         std = np.append(T * np.sqrt(covariance[0]), 0.0)
     total_std = T * float(np.sqrt(covariance.sum()))
@@ -100,7 +97,7 @@ def force_delay(motion: Motion, model: Model) -> Delay:
         )
     transport, lag = (T * np.append(found, 0.0)[:2]).tolist()
     delays = Delays(transport, float(std[0]), lag, float(std[1]), transport + lag + 0.5 * T, total_std)
-    return Delay(delays, separable, explained, fit.coefficients(found)[:, 0], periods)
+    return Delay(delays, explained, fit.coefficients(found)[:, 0], periods)
 
 
 def needed_forces(motion: Motion, model: Model) -> Array:

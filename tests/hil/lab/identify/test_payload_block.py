@@ -47,7 +47,7 @@ def whole(c, hidden=0.0, reflected_kg=None):
     made: Any = SimpleNamespace(
         theta=theta, believed=np.zeros(COLUMNS), carrier=np.zeros(SIZE), split=False, payload=None,
         reflected_kg=reflected_kg, estimate=estimate, whole=SimpleNamespace(smallest=1.0),
-        sources=[SimpleNamespace(configuration=c, seconds=1.0, reported=True)],
+        sources=[SimpleNamespace(configuration=c, seconds=1.0, sent=None)],
         rms_believed_N=9.0, rms_force_N=100.0, held_out={},
     )  # fmt: skip
     return made

@@ -17,7 +17,7 @@ regressors along the reference, which is free of both errors (A. Janot, P.-O. Va
 Trans. Control Syst. Technol. 22(1), 2014).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -63,7 +63,8 @@ class Equations(NamedTuple):
 
     def part(self, which: Flags) -> "Equations":
         """Equations of the selected rows; which: mask (m,)."""
-        return Equations(*(each[which] for each in self))
+        parts: list[Any] = [each[which] for each in self]
+        return Equations(*parts)
 
 
 def equations_of(model: Model, signals: LegSignals) -> Equations:

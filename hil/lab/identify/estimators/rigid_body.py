@@ -84,4 +84,4 @@ def _cross(x: Array) -> Array:
 
 def _inertia_times(x: Array) -> Array:
     """Matrices L (n, 3, 6) with L [I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]^T = I x, for vectors x (n, 3)."""
-    return np.einsum("nj,ije->nie", x, np.eye(6)[_TENSOR])
+    return np.asarray(np.einsum("nj,ije->nie", x, np.eye(6)[_TENSOR]), np.float64)

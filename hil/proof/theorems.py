@@ -185,7 +185,8 @@ def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
 
 def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
     """Try the V that the linearisation proposes on the domain, then on smaller boxes."""
-    budget, none = signs.budget, (None, _NO_V)
+    budget = signs.budget
+    none: _Shown = (None, _NO_V)
     V = budget.within(0.6, lambda: lyapunov_function(signs.system), None)
     for smaller, share in [(signs, 0.6), *((each, 0.95) for each in _shrunk(signs))] if V is not None else []:
         proof, certificate = budget.within(share, partial(_certificate, V, smaller), none)

@@ -51,10 +51,7 @@ def _of_form(P: quadratic.Matrix, signs: Signs) -> sp.Expr | None:
 
 def _samples(signs: Signs, x: sp.Symbol, end: sp.Expr) -> list[dict[sp.Symbol, sp.Expr]]:
     others = [y for y in signs.system.states if y != x]
-    shares = [sp.Rational(k, 4) for k in range(-4, 5)] if len(others) <= 2 else [-1, 0, 1]
-    if len(others) > 4:
-        shares = [0]
-    ends = signs.system.domain
+    shares, ends = [-1, 0, 1] if len(others) <= 4 else [0], signs.system.domain
     return [
         {x: end} | {y: abs(s) * ends[y][1 if s > 0 else 0] for y, s in zip(others, some, strict=True)}
         for some in product(shares, repeat=len(others))

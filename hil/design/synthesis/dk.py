@@ -17,7 +17,7 @@ from drivers.errors import SynthesisError
 from hil.design.synthesis import mu
 from hil.design.synthesis.hinf import hinf
 from hil.design.synthesis.mu import Block, UpperBound, upper_bound
-from hil.design.synthesis.structured import Structured, well_scaled
+from hil.design.synthesis.structured import Structured
 from hil.mathematics.linear_system import LinearSystem, static
 
 ROUNDS = 10
@@ -111,7 +111,7 @@ def scaled(problem: Structured, scales: list[LinearSystem]) -> LinearSystem:
     rest_out = problem.plant.C.shape[0] - len(scales)
     rest_in = problem.plant.B.shape[1] - len(scales)
     widened = left.beside(static(np.eye(rest_out))).after(problem.plant)
-    return well_scaled(widened.after(right.beside(static(np.eye(rest_in)))))
+    return widened.after(right.beside(static(np.eye(rest_in))))
 
 
 def dk_iteration(

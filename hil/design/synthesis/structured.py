@@ -140,7 +140,7 @@ def structured_plant(
     y: list[Sum] = [{measured_signal[name]: -1.0, f"n_{name}": W} for name, W in zip(names, W_n, strict=True)]
     outputs: list[Sum] = [*effects, {"z_e": 1.0}, {"z_u": 1.0}, *y]
     blocks = [*(Block() for _ in causes), Block(1 + len(names), 2)]
-    return Structured(well_scaled(wired(parts, inputs, outputs)), blocks, len(names))
+    return Structured(wired(parts, inputs, outputs), blocks, len(names))
 
 
 def wired(parts: dict[str, tuple[LinearSystem, Sum]], inputs: list[str], outputs: list[Sum]) -> LinearSystem:
@@ -162,22 +162,3 @@ def wired(parts: dict[str, tuple[LinearSystem, Sum]], inputs: list[str], outputs
     into = static(np.block([[np.eye(m), np.zeros((m, n))], [E, np.eye(n)]]))
     out = static(np.block([[rows(outputs, inputs), rows(outputs, names)], [np.zeros((n, m)), np.eye(n)]]))
     return out.after(body).after(into).closed_with(static(F))
-
-
-def well_scaled(system: LinearSystem) -> LinearSystem:
-    """System with states scaled so that each is excited as strongly as it acts.
-
-    Row and column of each state in [A B; C 0] get the same norm, by powers of 2 to avoid rounding (Osborne
-    1960). The rank tests of a synthesis then compare numbers of one size.
-    """
-    A, B, C = system.A.copy(), system.B.copy(), system.C.copy()
-    for _ in range(30):
-        for i in range(system.order):
-            others = np.arange(system.order) != i
-            row = np.linalg.norm(np.concatenate([A[i, others], B[i]]))
-            column = np.linalg.norm(np.concatenate([A[others, i], C[:, i]]))
-            if row > 0.0 and column > 0.0:
-                t = 2.0 ** np.round(0.5 * np.log2(row / column))
-                A[i], B[i] = A[i] / t, B[i] / t
-                A[:, i], C[:, i] = A[:, i] * t, C[:, i] * t
-    return system._replace(A=A, B=B, C=C)

@@ -246,7 +246,7 @@ class Linearised:
         A leg error is converted to a pose error to first order, J^-1 e. stale_s: delay between the state for
         which the law computes u and the present state.
         """
-        s = _stacked(path)
+        s = PoseSample(*(np.array(part, float) for part in zip(*path, strict=True)))
         x, dx = (np.broadcast_to(np.asarray(behind, float), s.twist.shape) for behind in (e, de))
         reference = self._robot(s.p, s.R, s.twist)
         demanded = reference.of_axes(s.dtwist)
@@ -324,11 +324,6 @@ class Linearised:
         e, de = np.vstack([errors, errors]), np.vstack([-rates, rates])
         all_samples = [s for s in path for _ in e]
         return self.at(all_samples, np.tile(e, (len(path), 1)), np.tile(de, (len(path), 1)), stale_s)
-
-
-def _stacked(path: Sequence[PoseSample]) -> PoseSample:
-    """Samples (n) as one sample whose arrays have the shapes (n, ...)."""
-    return PoseSample(*(np.array(part, float) for part in zip(*path, strict=True)))
 
 
 class Drives(NamedTuple):

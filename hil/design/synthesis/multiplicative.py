@@ -17,7 +17,7 @@ import numpy as np
 from drivers.arrays import Array, ComplexArray
 from hil.config.axis_model import AxisModel
 from hil.config.design import Design, TransferFunction
-from hil.design.synthesis.weights import control_weight, rational
+from hil.design.synthesis.weights import control_weight
 from hil.mathematics.linear_system import LinearSystem
 
 Key = TypeVar("Key")
@@ -114,12 +114,6 @@ def covered(design: Design, measured: Relative, gain: float) -> Design:
         return design
     weight = cover(omega, np.maximum(stated, least), CORNER * pi * design.rate_Hz)
     return design.model_copy(update={"weights": design.weights.model_copy(update={"control": weight})})
-
-
-def cover_system(measured: Relative, rate_Hz: float) -> LinearSystem:
-    """Stable linear system with a gain of at least the bound w, as a weight of a structured problem."""
-    omega = frequencies(rate_Hz)
-    return rational(cover(omega, measured.at(omega), CORNER * pi * rate_Hz), "cover of the measured axes")
 
 
 def margin(

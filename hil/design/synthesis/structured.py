@@ -18,10 +18,11 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis, UncertaintyRanges
+from hil.design.synthesis import multiplicative
 from hil.design.synthesis.axis import drive, pade
 from hil.design.synthesis.mu import Block
-from hil.design.synthesis.multiplicative import CORNER, Relative, cover_system, tightest
-from hil.design.synthesis.weights import control_weight, error_weight, noise
+from hil.design.synthesis.multiplicative import CORNER, Relative, tightest
+from hil.design.synthesis.weights import control_weight, error_weight, noise, rational
 from hil.mathematics.linear_system import LinearSystem, static
 
 Sum = dict[str, float]
@@ -132,7 +133,9 @@ def structured_plant(
     }
     causes, effects = ["w_inertia", "w_delay", "w_lag"], [acceleration, {"z_delay": 1.0}, {"z_lag": 1.0}]
     if measured is not None:
-        parts["z_measured"] = cover_system(measured, design.rate_Hz), {"v": 1.0, "w_lag": 1.0}
+        omega = multiplicative.frequencies(design.rate_Hz)
+        w = multiplicative.cover(omega, measured.at(omega), CORNER * pi * design.rate_Hz)
+        parts["z_measured"] = rational(w, "cover of the measured axes"), {"v": 1.0, "w_lag": 1.0}
         acceleration["w_measured"] = axis.gain
         causes, effects = [*causes, "w_measured"], [*effects, {"z_measured": 1.0}]
     measured_signal = {"error": "position", "rate_error": "rate"}

@@ -71,12 +71,6 @@ class Store:
             forget_legs(self.facts, finding.legs)
         self.save()
 
-    def forget_brakes(self) -> None:
-        """Delete the results about brakes and about steps passed, so that brakes are tested again."""
-        for step in ("held", "opens", "shuts", "hoisted", "passed"):
-            self.facts.pop(step, None)
-        self.save()
-
 
 def _check(*parts: Any) -> str:
     """SHA-256 of the file's content; protects results whose change could open a brake."""

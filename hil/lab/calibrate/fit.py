@@ -138,7 +138,9 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
     theta = _start(platform)
     theta[:, 6] = start_offsets(platform, measured)
     _, slopes = _model(theta, measured.p, R)
-    kept, lost = _split(slopes, _floor(theta, measured))
+    turn, shift = (np.sqrt(np.mean(np.square(std))) for std in (measured.rotation_std, measured.position_std))
+    length = np.linalg.norm(measured.p[:, None] - theta[None, :, 0:3], axis=2).mean()
+    kept, lost = _split(slopes, max(RANK, NOISE * float(turn + shift / length)))
     basis = block_diag(*kept)
     rank = basis.shape[1]
     # Weights depend on the directions of the legs alone: a second pass settles them.
@@ -225,15 +227,11 @@ def _solve(theta: Array, measured: Measurements, R: Array, basis: Array) -> tupl
     return solution, jacobian(fit.x), whitened(fit.x)
 
 
-def _floor(theta: Array, measured: Measurements) -> float:
-    """Relative singular value below which a direction counts as undetermined."""
-    turn, shift = (np.sqrt(np.mean(np.square(std))) for std in (measured.rotation_std, measured.position_std))
-    length = np.linalg.norm(measured.p[:, None] - theta[None, :, 0:3], axis=2).mean()
-    return max(RANK, NOISE * float(turn + shift / length))
-
-
 def _split(slopes: Array, floor: float) -> tuple[list[Array], list[Array]]:
-    """Split each leg's parameters into directions that the poses determine, scaled by size, and the rest."""
+    """Split each leg's parameters into directions that the poses determine, scaled by size, and the rest.
+
+    floor: relative singular value below which a direction counts as undetermined.
+    """
     kept, lost = [], []
     for leg in range(6):
         _, s, Vt = np.linalg.svd(slopes[:, leg, :], full_matrices=False)

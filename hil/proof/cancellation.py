@@ -88,3 +88,15 @@ def factors(expression: sp.Expr) -> list[tuple[sp.Expr, sp.Rational]]:
     except sp.PolynomialError:
         e = sp.together(expression)
     return [part.as_base_exp() for part in sp.Mul.make_args(e)]
+
+
+def half_angles(expression: sp.Expr) -> list[sp.Expr]:
+    """Rewrite cos u as 1 - 2 sin^2(u/2) and as 2 cos^2(u/2) - 1; empty without cosines.
+
+    In these forms 1 - cos u and 1 + cos u become squares.
+    """
+    if not expression.has(sp.cos):
+        return []
+    down = sp.expand(expression.replace(sp.cos, lambda u: 1 - 2 * sp.sin(u / 2) ** 2))
+    up = sp.expand(expression.replace(sp.cos, lambda u: 2 * sp.cos(u / 2) ** 2 - 1))
+    return [down, up]

@@ -11,7 +11,7 @@ import sympy as sp
 
 from hil.proof import origin, quadratic, tail
 from hil.proof.branch_and_bound import Budget, positive, without
-from hil.proof.cancellation import factors
+from hil.proof.cancellation import factors, half_angles
 from hil.proof.interval import Cell, Enclosure, Ranges, outward, unsupported
 from hil.proof.system import System
 
@@ -175,8 +175,10 @@ class Signs:
         if states and (S := quadratic.form(g, states)) is not None:
             lines = quadratic.lines(S, states)
             return None if lines is None else (tuple(lines),)
-        if (zeros := self._structure(g)) is not None or (zeros := self._by_factors(g)) is not None:
-            return zeros
+        for judge in (self._structure, self._by_factors):
+            for form in (g, *half_angles(g)):
+                if (zeros := judge(form)) is not None:
+                    return zeros
         if not self.enclosable(g) and (freed := self.freed(g)) is not None:
             return self.nonnegative(freed)
         if states and not g.free_symbols.isdisjoint(self.system.positive) and self.definite(g):

@@ -52,6 +52,12 @@ def test_a_refuted_claim_shows_its_counterexample_and_exits_with_1(tmp_path, old
     assert found["counterexample"].keys() >= {"theta", "omega"}
 
 
+def test_lyapunov_function_is_proposed_if_the_proof_file_has_none(tmp_path):
+    result = prove(tmp_path, "kind: proof\nstates: {x: v, v: -x - v + x**3}\n")
+    assert result.exit_code == 0
+    assert "V = v**2 + v*x + 3*x**2/2, proposed" in result.output
+
+
 @pytest.mark.parametrize(
     "text",
     [

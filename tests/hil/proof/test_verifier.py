@@ -6,7 +6,7 @@ import pytest
 import sympy as sp
 
 from drivers.errors import ModelError
-from hil.proof import Certificate, Decrease, Equilibrium, Truth, verify
+from hil.proof import Budget, Certificate, Decrease, Equilibrium, Truth, verify
 from hil.proof.linearisation import Eigenvalues
 
 x, v, y, z, theta, omega = sp.symbols("x v y z theta omega")
@@ -42,6 +42,14 @@ def test_the_damped_pendulum_is_asymptotically_stable_below_the_upright_energy()
     assert report.equilibrium.level == 2
 
 
+def test_the_energy_of_the_damped_pendulum_is_not_a_global_certificate():
+    report = verify({theta: omega, omega: -omega - sp.sin(theta)}, PENDULUM)
+    assert report.certificate.status is Certificate.NOT_POSITIVE_DEFINITE
+    assert abs(report.certificate.at[theta]) == 2 * sp.pi
+    assert report.equilibrium.status is Equilibrium.ASYMPTOTICALLY_STABLE
+    assert 0 < report.equilibrium.level <= 2
+
+
 def test_invalid_lyapunov_function_gives_no_conclusion_on_the_system():
     report = verify({x: -x, y: -y}, x**2 - y**2)
     assert report.certificate.status is Certificate.NOT_POSITIVE_DEFINITE
@@ -49,6 +57,15 @@ def test_invalid_lyapunov_function_gives_no_conclusion_on_the_system():
     assert at[x] ** 2 - at[y] ** 2 == report.certificate.value <= 0
     assert report.equilibrium.status is Equilibrium.NO_CONCLUSION
     assert report.linearisation is Eigenvalues.LEFT
+
+
+def test_a_claim_is_undecided_when_the_budget_ends():
+    report = verify({x: sp.sin(x) ** 2 - x}, x**2, budget=Budget(3))
+    assert report.certificate.status is Certificate.UNDECIDED
+    assert report.certificate.truth is Truth.UNDECIDED
+    assert "budget" in report.certificate.reason
+    assert report.equilibrium.status is Equilibrium.NO_CONCLUSION
+    assert report.boxes == 3
 
 
 STABLE: dict[str, tuple[Any, ...]] = {

@@ -1,8 +1,10 @@
 """Invalid V and difficult systems: the verifier may be undecided, but never wrong."""
 
 import itertools
+import math
 import random
 
+import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import given, settings
@@ -209,3 +211,20 @@ def _do_not_contradict(said):
     for one, other in itertools.permutations(said, 2):
         assert not (one.status is Equilibrium.UNSTABLE and other.status in stable)
         assert not (one.asymptotic is Truth.PROVEN and other.asymptotic is Truth.REFUTED)
+
+
+@settings(max_examples=15, derandomize=True, database=None)
+@given(st.lists(st.integers(-3, 3), min_size=9, max_size=9))
+def test_eigenvalue_findings_of_random_matrices_match_lapack(entries):
+    A = np.array(entries).reshape(3, 3)
+    states = (x, y, z)
+    f = {
+        s: sum(int(a) * q for a, q in zip(row, states, strict=True)) for s, row in zip(states, A, strict=True)
+    }
+    report = verify({s: sp.sympify(e) for s, e in f.items()})
+    right = max(np.linalg.eigvals(A).real)
+    if right > 1e-4:
+        assert report.equilibrium.status is Equilibrium.UNSTABLE
+    elif right < -1e-4:
+        assert report.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE  # it is linear
+    assert not math.isnan(right)

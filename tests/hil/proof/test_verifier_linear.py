@@ -68,6 +68,15 @@ def test_multiple_poles_are_located(pole, order):
         assert eigenvalues(signs) is where
 
 
+def test_loops_near_critical_damping_are_proven_stable():
+    report = verify({x: v, v: -2 * sp.sqrt(2) * v - 2 * x})
+    assert report.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    assert report.certificate.status is Certificate.VALID
+    ranges = {y: (R(9, 10), R(11, 10)), w: (1, 2)}
+    ranged = verify({x: v, v: -2 * y * w * v - w**2 * x}, parameters=ranges)
+    assert ranged.linearisation is Eigenvalues.LEFT
+
+
 def coupled(n, seed=1, stable=True):
     chance = random.Random(seed)
     q = sp.symbols(f"q0:{n}")

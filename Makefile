@@ -36,7 +36,7 @@ fuzz: fmu  ## damaged logs, configurations, CSV files, FMUs ... for ten minutes;
 mutants: fmu  ## a seeded sample of plausible mistakes per area, and the test that detects each; MUTANTS_FLAGS="--area cycle --seed 2"
 	@exec $(BIN)/python -m tools.mutants $(MUTANTS_FLAGS)
 
-soak: fmu  ## a day of ticks in lockstep, beyond the overflow of all counters (some hours); SOAK_FLAGS="--real 30": half an hour in real time
+soak: fmu  ## a day of ticks in lockstep, beyond the overflow of all counters (some hours)
 	@exec $(BIN)/python -m tools.soak $(SOAK_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy

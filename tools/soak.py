@@ -1,4 +1,4 @@
-"""`make soak`: days of ticks in lockstep, across the wraps of their counters, or half an hour in real time.
+"""`make soak`: days of ticks in lockstep, across the wraps of their counters.
 
 A soak consists of shifts. Each shift is a run that begins shortly before another wrap of a counter and is
 replayed. All shifts share one process.
@@ -29,7 +29,6 @@ from hil.loop.tick_row import Given, Ticks
 from hil.record.log import Log
 from tools.benchmarks.benchmark import patient, resident_MB
 from tools.benchmarks.figures import Figure, Mark, lines
-from tools.benchmarks.live import live_run
 from tools.benchmarks.tick import steps
 
 LEAD_S = 2.0
@@ -169,55 +168,30 @@ def figures(shifts: list[Shift], rate_Hz: float) -> list[Figure]:
     ]
 
 
-def real(c: Configuration, minutes: float, folder: Path) -> list[Figure]:
-    """Run the daemon with its plant in real time, and return results. Raises RunError without a summary."""
-    summary, seen = live_run(c, 60.0 * minutes, folder)
-    settled = seen[int(SETTLED * (len(seen) - 1)) :]
-    ends = {"success": summary["success"], "exact replay": summary.get("replay", {}).get("agrees")}
-    return [
-        Figure("in real time", {"": minutes}, "min", note=f"{summary.get('ticks', 0)} ticks"),
-        *(Figure(name, {"": float(bool(end))}, "", Mark(1.0, at_most=False)) for name, end in ends.items()),
-        Figure("dropped ticks", {"": float(summary["dropped_ticks"])}, "", Mark(0.0)),
-        Figure("loop, resident", {"": max(seen)}, "MB", Mark(300.0)),
-        Figure("loop, growth", {"": settled[-1] - settled[0]}, "MB", GROWTH),
-    ]
-
-
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--hours", type=click.FloatRange(min=0, min_open=True), default=24.0, show_default=True)
 @click.option("--shift-minutes", type=click.FloatRange(min=0.05), default=15.0, show_default=True)
 @click.option("--configuration", default="virtual", show_default=True)
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/soak"), show_default=True)
-@click.option(
-    "--real",
-    "real_minutes",
-    type=click.FloatRange(min=0.1),
-    help="Run in real time for these minutes instead.",
-)
-def main(
-    hours: float, shift_minutes: float, configuration: str, folder: Path, real_minutes: float | None
-) -> None:
+def main(hours: float, shift_minutes: float, configuration: str, folder: Path) -> None:
     """Run for a long time, and print the effects on memory, open files, counters and replay.
 
     Exit code 1 if a result misses its limit, called mark.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    c = patient(configuration, folder, 60.0 * max(shift_minutes, real_minutes or 0.0))
-    if real_minutes is not None:
-        found = real(c, real_minutes, folder)
-    else:
-        for k in range(INTERNED):
-            sys.intern(f"name {k}")
-        shifts: list[Shift] = []
-        left, firsts = hours * 3600.0, first_ticks(c.loop.rate_Hz)
-        while left > 1e-9:
-            log = folder / f"{len(shifts)}.mcap"
-            one = shift(c, next(firsts), min(60.0 * shift_minutes, left), log)
-            shifts.append(one)
-            left -= 60.0 * shift_minutes
-            text = f"from tick {one.first}: {one.ticks} ticks in {one.wall_s:.0f} s"
-            print("; ".join(filter(None, (text, *one.crossed, one.trouble))), flush=True)
-        found = figures(shifts, c.loop.rate_Hz)
+    c = patient(configuration, folder, 60.0 * shift_minutes)
+    for k in range(INTERNED):
+        sys.intern(f"name {k}")
+    shifts: list[Shift] = []
+    left, firsts = hours * 3600.0, first_ticks(c.loop.rate_Hz)
+    while left > 1e-9:
+        log = folder / f"{len(shifts)}.mcap"
+        one = shift(c, next(firsts), min(60.0 * shift_minutes, left), log)
+        shifts.append(one)
+        left -= 60.0 * shift_minutes
+        text = f"from tick {one.first}: {one.ticks} ticks in {one.wall_s:.0f} s"
+        print("; ".join(filter(None, (text, *one.crossed, one.trouble))), flush=True)
+    found = figures(shifts, c.loop.rate_Hz)
     print("\n".join(lines("soak", found)))
     sys.exit(0 if all(each.met is not False for each in found) else 1)
 

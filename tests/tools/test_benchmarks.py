@@ -1,17 +1,14 @@
-"""Figures and marks of the benchmark, short runs of each part, and the comparison of two checkouts."""
+"""Figures and marks of the benchmark, and short runs of each part."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
-import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
-from tools.benchmarks import versions
 from tools.benchmarks.__main__ import PARTS, main
 from tools.benchmarks.figures import Figure, Mark
 
@@ -58,18 +55,6 @@ def test_every_part_of_the_benchmark_can_run_for_2_s_and_reports_its_figures(par
         assert figures["wake-up to six feedbacks"]["values"]["median"] >= 268.8
         assert figures["rate"]["values"][""] <= {"realtime": 1000.0, "two_buses": 2000.0}[part]
     assert not list(Path("runs").iterdir()), "nothing stays behind"
-
-
-@pytest.mark.long
-def test_benchmark_compares_two_checkouts_in_simulation_and_in_replay(monkeypatch, capsys):
-    here = str(Path(__file__).parents[2])
-    words = ["versions", here, here, "--duration", "2", "--rounds", "1"]
-    monkeypatch.setattr(sys, "argv", words)
-    versions.main()
-    found = re.findall(r"([\d.]+), ([\d.]+) \| ([\d.]+) \(", capsys.readouterr().out)
-    assert len(found) == len(versions.KINDS)
-    for old, new, ratio in found:
-        assert float(old) / float(new) == pytest.approx(float(ratio), rel=0.02)
 
 
 def test_json_output_of_the_benchmark_does_not_overwrite_a_file_of_another_kind(monkeypatch, tmp_path):

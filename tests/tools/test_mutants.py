@@ -2,9 +2,7 @@
 
 import pytest
 
-from tools.mutants import areas
-from tools.mutants.__main__ import sampled
-from tools.mutants.areas import AREAS
+from tools.mutants.__main__ import AREAS, own_tests, sampled, sources_of
 from tools.mutants.mutant import mutants
 
 
@@ -21,7 +19,7 @@ def made(source):
         ("if a is b: g()", {"if (a is not b): g()", "if a is b: pass"}),
         ("y = a * (b + x)", {"y = (a / (b + x))", "y = a * ((b - x))"}),
         ("y = 2", {"y = 3", "y = 1", "y = 4", "y = (-2)"}),
-        ("y = 1e3", {"y = 2000.0", "y = 500.0", "y = (-1000.0)", "y = 1000000.0", "y = 1.0"}),
+        ("y = 1e3", {"y = 2000.0", "y = 500.0", "y = (-1000.0)"}),
         ("y = a and b", {"y = (a or b)"}),
         ("y = not a", {"y = a"}),
         ("y = -a", {"y = a"}),
@@ -33,7 +31,6 @@ def made(source):
         ("y = x[i]", {"y = x[0]"}),
         ("a += b", {"a -= b", "pass"}),
         ("raise ValueError(a - b)", {"pass"}),
-        ("return a, b", {"return (b, a)"}),
     ],
 )
 def test_each_mutation_operator_makes_exactly_the_expected_changes(source, changed):
@@ -42,11 +39,11 @@ def test_each_mutation_operator_makes_exactly_the_expected_changes(source, chang
 
 @pytest.mark.parametrize("area", AREAS)
 def test_every_area_of_the_mutation_tool_has_sources_and_tests(area):
-    assert areas.sources_of(area)
-    assert areas.tests_of(area)
+    assert sources_of(area)
+    assert own_tests(area)
 
 
 def test_seed_always_draws_the_same_mutants_each_at_a_different_place():
-    drawn = [mutant for _, mutant in sampled("salvage", 1, 30)]
-    assert drawn == [mutant for _, mutant in sampled("salvage", 1, 30)]
+    drawn = [mutant for _, mutant in sampled("record", 1, 30)]
+    assert drawn == [mutant for _, mutant in sampled("record", 1, 30)]
     assert len({(m.file, m.start, m.end) for m in drawn}) == 30

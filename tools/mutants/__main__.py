@@ -20,9 +20,31 @@ import click
 from scipy.stats import binomtest
 
 from drivers.compiled.cache import CACHE_FOLDER
-from tools.mutants.areas import AREAS, ROOT, sources_of, tests_of
 from tools.mutants.mutant import Mutant, equivalents, mutants
 
+ROOT = Path(__file__).resolve().parents[2]
+AREAS = {
+    "safety": ("hil/safety",),
+    "cycle": ("hil/loop", "hil/operate"),
+    "motion": ("hil/trajectory",),
+    "drivers": ("drivers",),
+    "plant_fmu": ("plant_fmu",),
+    "record": ("hil/record",),
+    "core": ("hil/robot", "hil/control", "hil/mathematics", "hil/estimation"),
+    "design": ("hil/design", "hil/proof"),
+    "lab": ("hil/lab",),
+    "study": ("hil/study",),
+    "app": ("hil/app", "hil/cli"),
+}
+"""Name of an area -> folders of its sources. Its tests are the files that import one of them; if there is a
+test folder of that name, only those there."""
+WHOLE = (
+    "tests/golden/",
+    "tests/hil/test_safety_mutation",
+    "tests/loop/test_lockstep",
+    "tests/replay/test_portability",
+)
+"""Tests that compare whole logs or sources: a failure there says nothing about a single claim."""
 BUILD = ROOT / "build" / "mutants"
 QUICK = "not long and not realtime and not vcan"
 """Selects tests that need neither an idle machine nor a kernel module."""
@@ -32,13 +54,7 @@ _COPIED = shutil.ignore_patterns(".*", "build", "dist", "runs", "__pycache__")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option(
-    "--area",
-    "areas",
-    type=click.Choice(list(AREAS)),
-    multiple=True,
-    help="Run only this area; can be repeated.",
-)
+@click.option("--area", "areas", type=click.Choice(list(AREAS)), multiple=True, help="May be repeated.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the sample.")
 @click.option("--sample", type=int, default=50, show_default=True, help="Number of mutants per area.")
 @click.option("--again", is_flag=True, help="Run surviving mutants again, e.g. after adding tests.")
@@ -52,7 +68,7 @@ def main(areas: tuple[str, ...], seed: int, sample: int, again: bool) -> None:
         before = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
         done = {r["key"]: r for r in before if not (again and r["outcome"] == "survived")}
         drawn = sampled(area, seed, sample)
-        copy = Copy(BUILD / area, tests_of(area)) if any(key not in done for key, _ in drawn) else None
+        copy = Copy(BUILD / area, own_tests(area)) if any(key not in done for key, _ in drawn) else None
         for k, (key, mutant) in enumerate(drawn, 1):
             if copy is None or key in done:
                 continue
@@ -64,6 +80,21 @@ def main(areas: tuple[str, ...], seed: int, sample: int, again: bool) -> None:
         counted = [m for key, m in drawn if done[key]["outcome"] != "not loaded"]
         left = [m for key, m in drawn if done[key]["outcome"] == "survived"]
         print(summary(area, len(counted), left), flush=True)
+
+
+def sources_of(area: str) -> list[str]:
+    """Source files of an area, sorted by name."""
+    found = (path for folder in AREAS[area] for path in (ROOT / folder).rglob("*.py"))
+    return sorted(path.relative_to(ROOT).as_posix() for path in found)
+
+
+def own_tests(area: str) -> list[str]:
+    """Test files that import a module of an area, sorted by name."""
+    rooms = "|".join(folder.replace("/", r"\.") for folder in AREAS[area])
+    imports, own = re.compile(rf"^(from|import) ({rooms})\b", re.MULTILINE), ROOT / "tests" / area
+    files = sorted((own if own.exists() else ROOT / "tests").rglob("test_*.py"))
+    found = [path.relative_to(ROOT).as_posix() for path in files if imports.search(path.read_text("utf-8"))]
+    return [name for name in found if not name.startswith(WHOLE)]
 
 
 def sampled(area: str, seed: int, count: int) -> list[tuple[str, Mutant]]:

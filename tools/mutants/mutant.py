@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 
 from tools.mutants.operators import changes
@@ -55,76 +56,50 @@ def equivalents() -> set[tuple[str, ...]]:
 
 def mutants(file: str, text: str) -> Iterator[Mutant]:
     """Yield every mutant of a source text; docstrings, messages, annotations and decorators stay."""
-    return _Walk(file, text).body(ast.parse(text))
+    lines = text.splitlines(keepends=True)
+    starts = [0, *accumulate(map(len, lines))]
 
-
-class _Walk:
-    """A walk through one source that tracks the function and the statement around a node."""
-
-    def __init__(self, file: str, text: str) -> None:
-        self.file, self.text = file, text
-        self.lines = text.splitlines(keepends=True)
-        self.names: list[str] = []
-        self.statement = ""
-
-    def body(self, node: ast.AST) -> Iterator[Mutant]:
-        """Yield the mutants of all syntax nodes below a node, in the order of the source."""
-        for child in ast.iter_child_nodes(node):
-            yield from self.visit(child)
-
-    def visit(self, node: ast.AST) -> Iterator[Mutant]:
-        match node:
-            case ast.JoinedStr() | ast.Import() | ast.ImportFrom() | ast.arg() | ast.Assert():
-                return
-            case ast.If(test=ast.Name(id="TYPE_CHECKING")) | ast.Expr(value=ast.Constant()):
-                return
-            case ast.AnnAssign(value=None) | ast.Assign(targets=[ast.Name(id="__all__" | "__slots__")]):
-                return
-        outer = self.statement
-        if isinstance(node, ast.stmt):
-            self.statement = self.lines[node.lineno - 1].strip()
-        match node:
-            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
-                self.names.append(node.name)
-                defaults = (
-                    [] if isinstance(node, ast.ClassDef) else [*node.args.defaults, *node.args.kw_defaults]
-                )
-                for child in filter(None, [*defaults, *node.body]):
-                    yield from self.visit(child)
-                self.names.pop()
-            case ast.expr() | ast.stmt():
-                yield from self.changed(node)
-                if isinstance(node, ast.AnnAssign):
-                    assert node.value is not None
-                    yield from self.visit(node.value)
-                elif not isinstance(node, ast.Raise):  # what it carries is a message
-                    yield from self.body(node)
-            case _:
-                yield from self.body(node)
-        self.statement = outer
-
-    def changed(self, node: ast.expr | ast.stmt) -> Iterator[Mutant]:
-        assert node.end_lineno is not None
-        assert node.end_col_offset is not None
-        start = self.offset(node.lineno, node.col_offset)
-        end = self.offset(node.end_lineno, node.end_col_offset)
-        for operator, changed in changes(node):
-            after = ast.unparse(ast.fix_missing_locations(changed))
-            if isinstance(node, ast.expr) and not isinstance(changed, _ATOMS):
-                after = f"({after})"
-            yield Mutant(
-                self.file,
-                ".".join(self.names),
-                self.statement,
-                operator,
-                self.text[start:end],
-                after,
-                node.lineno,
-                start,
-                end,
-            )
-
-    def offset(self, line: int, column: int) -> int:
+    def offset(line: int, column: int) -> int:
         """Character index of a place in the text; `ast` counts columns in bytes of UTF-8."""
-        before = sum(map(len, self.lines[: line - 1]))
-        return before + len(self.lines[line - 1].encode()[:column].decode())
+        return starts[line - 1] + len(lines[line - 1].encode()[:column].decode())
+
+    def visit(node: ast.AST, names: tuple[str, ...], statement: str) -> Iterator[Mutant]:
+        if _stays(node):
+            return
+        if isinstance(node, ast.stmt):
+            statement = lines[node.lineno - 1].strip()
+        children: Iterable[ast.AST | None] = ast.iter_child_nodes(node)
+        match node:
+            case ast.FunctionDef(args=given):
+                names, children = (*names, node.name), (*given.defaults, *given.kw_defaults, *node.body)
+            case ast.ClassDef():
+                names, children = (*names, node.name), node.body
+            case ast.expr() | ast.stmt():
+                start = offset(node.lineno, node.col_offset)
+                end = offset(node.end_lineno or 0, node.end_col_offset or 0)
+                for operator, changed in changes(node):
+                    after = ast.unparse(ast.fix_missing_locations(changed))
+                    if isinstance(node, ast.expr) and not isinstance(changed, _ATOMS):
+                        after = f"({after})"
+                    place = file, ".".join(names), statement
+                    yield Mutant(*place, operator, text[start:end], after, node.lineno, start, end)
+                if isinstance(node, ast.AnnAssign):
+                    children = (node.value,)
+                elif isinstance(node, ast.Raise):  # what it carries is a message
+                    children = ()
+        for child in filter(None, children):
+            yield from visit(child, names, statement)
+
+    for node in ast.parse(text).body:
+        yield from visit(node, (), "")
+
+
+def _stays(node: ast.AST) -> bool:
+    match node:
+        case ast.JoinedStr() | ast.Import() | ast.ImportFrom() | ast.arg() | ast.Assert():
+            return True
+        case ast.If(test=ast.Name(id="TYPE_CHECKING")) | ast.Expr(value=ast.Constant()):
+            return True
+        case ast.AnnAssign(value=None) | ast.Assign(targets=[ast.Name(id="__all__" | "__slots__")]):
+            return True
+    return False

@@ -33,8 +33,6 @@ OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
     ast.RShift: ast.LShift,
 }
 CALLS = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum"}
-UNITS = {10.0**k for k in (-9, -6, -3, 3, 6, 9)}
-"""Constants that convert a unit."""
 _SYMMETRIC = {"isinstance", "issubclass", "hypot", "dot", "array_equal", "isclose", *CALLS}
 """Functions whose first two arguments commute, or cannot be exchanged without a type error."""
 _DELETED = (ast.AugAssign, ast.Raise, ast.Continue, ast.Break)
@@ -68,10 +66,6 @@ def changes(node: ast.AST) -> Iterator[Change]:
             yield "index", _with(node, slice=ast.Constant(0))
         case ast.IfExp(test=test, body=body, orelse=orelse):
             yield "branches", ast.IfExp(test, orelse, body)
-        case ast.Return(value=ast.expr() as value):
-            yield from _returns(value)
-        case _:
-            pass
     if isinstance(node, _DELETED) or _is_effect(node):
         yield "statement deleted", ast.Pass()
 
@@ -102,9 +96,6 @@ def _numbers(value: float) -> Iterator[Change]:
         yield "sign", ast.UnaryOp(ast.USub(), ast.Constant(value))
     if value and isinstance(value, float):
         yield "halved", ast.Constant(value / 2)
-    if value in UNITS:
-        yield "unit", ast.Constant(value * 1e3)
-        yield "unit", ast.Constant(value * 1e-3)
 
 
 def _calls(node: ast.Call) -> Iterator[Change]:
@@ -123,18 +114,6 @@ def _calls(node: ast.Call) -> Iterator[Change]:
 
 def _field(function: ast.expr) -> str:
     return "attr" if isinstance(function, ast.Attribute) else "id"
-
-
-def _returns(value: ast.expr) -> Iterator[Change]:
-    match value:
-        case ast.Compare() | ast.BoolOp() | ast.UnaryOp(op=ast.Not()):
-            yield "return value", ast.Return(ast.UnaryOp(ast.Not(), value))
-        case ast.Tuple(elts=[first, second, *rest]) if ast.dump(first) != ast.dump(second):
-            yield "return value", ast.Return(ast.Tuple([second, first, *rest], ast.Load()))
-        case ast.BinOp() | ast.Name() | ast.Call() | ast.Attribute() | ast.Subscript():
-            yield "return value", ast.Return(ast.Constant(None))
-        case _:
-            pass
 
 
 def _is_effect(node: ast.AST) -> bool:

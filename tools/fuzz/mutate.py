@@ -26,13 +26,6 @@ def truncate(data: bytes, rng: Random) -> bytes:
     return data[: rng.randrange(len(data) + 1)]
 
 
-def zero_run(data: bytes, rng: Random) -> bytes:
-    """Set consecutive bytes to zero, as file systems do after a crash."""
-    start = rng.randrange(len(data) + 1)
-    stop = min(len(data), start + rng.choice((1, 8, 64, 512, 4096)))
-    return data[:start] + bytes(stop - start) + data[stop:]
-
-
 def extreme(data: bytes, rng: Random) -> bytes:
     """Overwrite 1, 2, 4 or 8 bytes, often near the beginning, with an extreme number."""
     width = rng.choice((1, 2, 4, 8))
@@ -45,16 +38,11 @@ def extreme(data: bytes, rng: Random) -> bytes:
 
 
 def insert(data: bytes, rng: Random) -> bytes:
-    """Insert random bytes at a random place."""
-    at = rng.randrange(len(data) + 1)
-    return data[:at] + rng.randbytes(rng.choice((1, 3, 9, 300))) + data[at:]
-
-
-def doubled(data: bytes, rng: Random) -> bytes:
-    """Insert a copy of a part of the bytes directly after this part."""
-    start = rng.randrange(len(data) + 1)
-    stop = min(len(data), start + rng.choice((1, 10, 100, 2000)))
-    return data[:stop] + data[start:stop] + data[stop:]
+    """Insert random bytes, zeros, or a copy of the bytes before a random place there."""
+    at, size = rng.randrange(len(data) + 1), rng.choice((1, 3, 9, 300))
+    return (
+        data[:at] + rng.choice((rng.randbytes(size), bytes(size), data[max(at - size, 0) : at])) + data[at:]
+    )
 
 
 def word(data: bytes, rng: Random) -> bytes:
@@ -66,7 +54,7 @@ def word(data: bytes, rng: Random) -> bytes:
     return data[: place.start()] + rng.choice(WORDS).encode() + data[place.end() :]
 
 
-ANY = (flip, truncate, zero_run, extreme, insert, doubled)
+ANY = (flip, truncate, extreme, insert)
 """Functions that damage any bytes."""
-TEXT = (word, word, word, flip, truncate, insert, doubled)
+TEXT = (word, word, word, flip, truncate, insert)
 """Functions that damage texts: mostly words, since other damage to texts is refused at once."""

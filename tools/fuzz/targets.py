@@ -9,7 +9,8 @@ import contextlib
 import itertools
 import socket
 import zipfile
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
@@ -65,23 +66,16 @@ def _command(*words: str) -> str:
 def _api(path: str) -> str:
     """Read a log through every method of `hil.Log`."""
     log = Log(path)
-    with contextlib.suppress(HilError):
-        log.figures()
-    parts = (log.rows, log.events, lambda: log.summary, lambda: log.frame("tau"), lambda: log.configuration)
-    for part in parts:
+    streams: list[Callable[[], Iterable[object]]] = [log.blocks, log.can_frames, log.ticks, log.events]
+    streams += [log.figures, lambda: log.summary, lambda: log.frame("tau"), lambda: log.configuration]
+    for stream in streams:
         with contextlib.suppress(HilError):
-            part()
-    for stream in (log.blocks, log.can_frames, log.ticks):
-        with contextlib.suppress(HilError):
-            for _ in stream():
-                pass
+            deque(stream(), maxlen=0)
     return ""
 
 
 _VIEW = "view", "--no-start", "--with"
-_COLUMNS = tuple(
-    word for name in ("dq_d - dq", "t_ns", "faults", "R", "lyapunov", "latch_ns") for word in ("-c", name)
-)
+_COLUMNS = "-c", "dq_d - dq", "-c", "t_ns", "-c", "faults", "-c", "R", "-c", "lyapunov", "-c", "latch_ns"
 LOG_READERS: dict[str, Callable[[str, str], str]] = {
     "replay": lambda log, _: _command("replay", log),
     "salvage": lambda log, out: _command("replay", log, "--salvage", f"{out}.mcap"),
@@ -94,7 +88,7 @@ LOG_READERS: dict[str, Callable[[str, str], str]] = {
     "plotjuggler": lambda log, out: _command(*_VIEW, "plotjuggler", log, "--out", out),
     "columns": lambda log, out: _command("plot", log, *_COLUMNS, "--out", f"{out}.svg"),
     "what-if": lambda log, out: _command(
-        "replay", log, "--set", "controller.wn_rad_s=25", "--plot", f"{out}.png", "--log", f"{out}.mcap"
+        "replay", log, "--set", "controller.wn_rad_s=25", "--log", f"{out}.mcap"
     ),
     "against": lambda log, _: _command("replay", log, "--against", log, "--align", "motion"),
     "learn": lambda log, out: _command("learn", log, "-o", f"{out}.csv"),
@@ -120,8 +114,7 @@ def _damaged(path: Path, source: bytes, rng: Random) -> Path:
     return path
 
 
-def _configuration(stock: Stock, rng: Random, folder: Path) -> str:
-    del stock
+def _configuration(_stock: Stock, rng: Random, folder: Path) -> str:
     source = rng.choice(sorted((ROOT / "configs").glob("*.yaml")))
     c = load(_damaged(folder / "damaged.yaml", source.read_bytes(), rng))
     build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
@@ -137,8 +130,7 @@ _PAIRS_CSV = "x_m,y_m,z_m,rx_deg,ry_deg,rz_deg,l1_m,l2_m,l3_m,l4_m,l5_m,l6_m\n" 
 _COMMANDS = "0.1 arm\n0.5 hold\n1 speed 40 # slower\n2 start\n3 jog x 0.5 for 1.5\n4 setpoint 0 0 1 0 0 0\n"
 
 
-def _csv(stock: Stock, rng: Random, folder: Path) -> str:
-    del stock
+def _csv(_stock: Stock, rng: Random, folder: Path) -> str:
     kind = rng.randrange(3)
     path = _damaged(folder / "damaged.csv", (_PATH_CSV, _PAIRS_CSV, _COMMANDS)[kind].encode(), rng)
     if kind == 0:
@@ -150,22 +142,19 @@ def _csv(stock: Stock, rng: Random, folder: Path) -> str:
     return ""
 
 
-def _controller(stock: Stock, rng: Random, folder: Path) -> str:
-    del stock
-    designs = sorted((ROOT / "configs" / "designs").glob("*.yaml"))
-    controllers = sorted((ROOT / "configs" / "controllers").glob("*.yaml"))
-    source = rng.choice([*designs, *controllers])
+def _controller(_stock: Stock, rng: Random, folder: Path) -> str:
+    kind = rng.choice(("designs", "controllers"))
+    source = rng.choice(sorted((ROOT / "configs" / kind).glob("*.yaml")))
     path = _damaged(folder / "damaged.yaml", source.read_bytes(), rng)
-    if source in designs:
+    if kind == "designs":
         read_section(path, Design)
     else:
         read_controller(path)
     return ""
 
 
-def _fmu(stock: Stock, rng: Random, folder: Path) -> str:
+def _fmu(_stock: Stock, rng: Random, folder: Path) -> str:
     source, path = build("3.0" if rng.random() < 0.5 else "2.0"), folder / "damaged.fmu"
-    del stock
     if rng.random() < 0.5:
         path.write_bytes(rng.choice(mutate.ANY)(source.read_bytes(), rng))
     else:  # a sound archive around a damaged description
@@ -185,9 +174,8 @@ _LINES = (
 _numbers = itertools.count()
 
 
-def _operator(stock: Stock, rng: Random, folder: Path) -> str:
+def _operator(_stock: Stock, rng: Random, folder: Path) -> str:
     """Send damaged lines to the socket that receives the operator's commands."""
-    del stock
     with (
         OperatorChannel("fuzz", f"{next(_numbers)}") as channel,
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,

@@ -31,39 +31,22 @@ def say(text: str) -> None:
     print(f"[setup] {text}", flush=True)
 
 
-def system_compiler() -> str | None:
-    """Path of the C compiler that can build the FMU, from $CC or `cc`; None without a compiler."""
-    wanted = os.environ.get("CC", "").split()
-    return shutil.which(wanted[0]) if wanted else shutil.which("cc")
-
-
 def lock_files() -> list[Path]:
-    """Lock files to install; that of the compiler only if the system has no compiler."""
-    return [LOCK] if system_compiler() else [LOCK, COMPILER_LOCK]
+    """Lock files to install; that of the compiler only if the system has none ($CC, else `cc`)."""
+    compiler = shutil.which((os.environ.get("CC", "").split() or ["cc"])[0])
+    return [LOCK] if compiler else [LOCK, COMPILER_LOCK]
 
 
-def interpreter() -> str:
-    """Line of the stamp file `.venv/.ready` that identifies the Python interpreter."""
-    return f"python {sys.version.split()[0]} of {sys.base_prefix}\n"
+def state(locks: list[Path], stamped: list[str]) -> list[str]:
+    """Lines of the stamp: interpreter, place and locks, project.
 
-
-def content(locks: list[Path]) -> str:
-    """Lines of the stamp file that identify the folder of the environment and the locked dependencies."""
-    digest = hashlib.sha256()
-    for path in locks:
-        digest.update(path.read_bytes())
-    return f"at {VENV}\nlocks {digest.hexdigest()}\n"
-
-
-def project() -> str:
-    """Line of the stamp file that identifies the installed project: a hash of `pyproject.toml`."""
-    return f"project {hashlib.sha256((ROOT / 'pyproject.toml').read_bytes()).hexdigest()}\n"
-
-
-def wanted_start(stamped: str, locks: list[Path]) -> str:
-    """Beginning that the stamp must have; the interpreter may differ unless $PYTHON selects one."""
-    made_with = stamped[: stamped.find("\n") + 1]
-    return (interpreter() if os.environ.get("PYTHON") or not made_with else made_with) + content(locks)
+    The interpreter may stay the stamped one unless $PYTHON selects one.
+    """
+    made_with = [] if os.environ.get("PYTHON") else stamped[:1]
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in locks)).hexdigest()
+    project = hashlib.sha256((ROOT / "pyproject.toml").read_bytes()).hexdigest()
+    python = made_with or [f"python {sys.version.split()[0]} of {sys.base_prefix}"]
+    return [*python, f"at {VENV}, locks {digest}", f"project {project}"]
 
 
 def run(arguments: list[str], failure: str) -> None:
@@ -86,95 +69,61 @@ def run(arguments: list[str], failure: str) -> None:
         raise BootstrapError(f"{failure}\n{tail}")
 
 
-def pip_of_environment() -> list[str]:
-    """Command of a pip that installs into the environment: its own, else one outside (pip 22.3).
-
-    Debian has `venv` without `ensurepip` unless python3-venv is installed.
-    """
-    inside = [str(VENV_PYTHON), "-m", "pip"]
-    outside = [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON)]
-    for pip in (inside, outside):
-        tried = subprocess.run(
-            [*pip, "--version"], stdin=subprocess.DEVNULL, capture_output=True, check=False
-        )
-        if tried.returncode == 0:
-            return pip
-    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
-    raise BootstrapError(
-        f"{sys.executable} has neither ensurepip nor pip 22.3 or later, so nothing can be installed.\n"
-        f"    On Debian or Ubuntu:  sudo apt install python3-venv   (or python{version}-venv)"
-    )
+def pip() -> list[str]:
+    """Command of a pip that installs into the environment: its own, else one outside (pip 22.3)."""
+    if any(VENV.glob("*/pip*")):
+        return [str(VENV_PYTHON), "-m", "pip"]
+    return [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON)]
 
 
-def make_environment() -> list[str]:
-    """Create an empty environment; return the pip command that installs into it."""
+def make_environment() -> None:
+    """Create an empty environment. Debian has `venv` without `ensurepip` unless python3-venv is installed."""
     venv = [sys.executable, "-m", "venv", str(VENV)]
     try:
         run(venv, "python -m venv failed:")
     except BootstrapError:
         shutil.rmtree(VENV, ignore_errors=True)  # Debian leaves half of it behind
-        run([*venv, "--without-pip"], "python -m venv cannot make an environment:")
-    return pip_of_environment()
+        run([*venv, "--without-pip"], "python -m venv failed; on Debian or Ubuntu: apt install python3-venv")
 
 
-def install_dependencies(pip: list[str], locks: list[Path]) -> None:
-    """Install the locked dependencies: hashes required, wheels only."""
-    listed = [argument for lock in locks for argument in ("-r", str(lock))]
-    say("installing the locked dependencies (about 340 MB to download if nothing is cached) ...")
-    run(
-        [*pip, "install", "--quiet", "--require-hashes", "--only-binary", ":all:", "--no-deps", *listed],
-        "the locked dependencies cannot be installed (no network, or a package index without them?):",
-    )
-
-
-def install_project(pip: list[str]) -> None:
-    """Install the project, editable, with the locked build back end and without network."""
-    say("installing the project itself, editable ...")
-    run(
-        [
-            *pip,
-            "install",
-            "--quiet",
-            "--no-deps",
-            "--no-index",
-            "--no-build-isolation",
-            "--editable",
-            str(ROOT),
-        ],
-        "the project itself cannot be installed:",
-    )
-
-
-def make(locks: list[Path], stamped: str) -> None:
-    """Create or update `.venv`, starting from the state in `stamped`; write the stamp file last."""
+def make(locks: list[Path], stamped: list[str], wanted: list[str]) -> None:
+    """Create or update `.venv`, starting from the state `stamped`; write the stamp file last."""
     if VENV.is_symlink() or (VENV.exists() and not VENV.is_dir()):
         raise BootstrapError(f"{VENV} is not a folder; move it away.")
-    wanted = wanted_start(stamped, locks)
-    if stamped.startswith(wanted) and VENV_PYTHON.exists():
+    if stamped[:2] == wanted[:2] and VENV_PYTHON.exists():
         STAMP.unlink()
-        pip = pip_of_environment()
     else:
-        wanted = interpreter() + content(locks)
+        wanted = state(locks, [])
         say(f"making .venv with Python {sys.version.split()[0]} ({sys.executable})")
         if COMPILER_LOCK in locks:
             say("no C compiler here: the FMU will be built with the one in the ziglang wheel")
         if VENV.exists():
             shutil.rmtree(VENV)
-        pip = make_environment()
-        install_dependencies(pip, locks)
-    install_project(pip)
-    STAMP.write_text(wanted + project())
+        make_environment()
+        say("installing the locked dependencies (about 340 MB to download if nothing is cached) ...")
+        options = ["--require-hashes", "--only-binary", ":all:", "--no-deps"]
+        run(
+            [*pip(), "install", "--quiet", *options, *(f"--requirement={lock}" for lock in locks)],
+            "the locked dependencies cannot be installed (no pip, no network, or an index without them?):",
+        )
+    say("installing the project itself, editable ...")
+    options = ["--no-deps", "--no-index", "--no-build-isolation"]  # the locked build back end, no network
+    run(
+        [*pip(), "install", "--quiet", *options, "--editable", str(ROOT)],
+        "the project itself cannot be installed:",
+    )
+    STAMP.write_text("\n".join(wanted))
 
 
 def main() -> int:
     """Create the environment unless it is up to date; return the exit code."""
-    locks = lock_files()
-    stamped = STAMP.read_text() if STAMP.is_file() else ""
-    if stamped == wanted_start(stamped, locks) + project() and VENV_PYTHON.exists():
+    locks, stamped = lock_files(), STAMP.read_text().splitlines() if STAMP.is_file() else []
+    wanted = state(locks, stamped)
+    if stamped == wanted and VENV_PYTHON.exists():
         return 0
     started = time.monotonic()
     try:
-        make(locks, stamped)
+        make(locks, stamped, wanted)
     except BaseException as error:
         if VENV.is_dir() and not VENV.is_symlink():
             shutil.rmtree(VENV, ignore_errors=True)

@@ -1,51 +1,83 @@
-"""Recorder as a child process: start it, send its set-up, receive its answers, wait for its end."""
+"""Recorder at the other end of a link: start it, send its set-up, receive its answers, wait for its end.
+
+On Linux it is a process. Elsewhere, where there is no shared memory without a name, it is a thread.
+"""
 
 import contextlib
 import ctypes
 import os
-import pickle
-import select
 import signal
 import subprocess
 from collections.abc import Callable, Mapping
-from typing import IO, Any
+from importlib import import_module
+from multiprocessing.connection import Connection, Pipe
+from threading import Thread
+from typing import Any
 
 from drivers.child_process import start
 from hil.record.ring import Ring
-from hil.record.thread import RecorderThread
-
-RecorderEnd = subprocess.Popen[bytes] | RecorderThread
 
 
-def spawn(ring: Ring) -> RecorderEnd:
-    """Start the recorder: a process, which inherits the memory of the ring and two pipes, or a thread."""
-    if ring.fd < 0:
-        return RecorderThread(ring)
-    # Ctrl-C must not end the recorder while it starts: it inherits the mask and clears it when it is ready
-    held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, held)
+class RecorderEnd:
+    """A started recorder, as its producer sees it. State: the link, the process or thread."""
+
+    def __init__(self, ring: Ring) -> None:
+        """Start the recorder; a process inherits the memory of the ring and its end of the link."""
+        self._link, other = Pipe()
+        self.process: subprocess.Popen[bytes] | None = None
+        if ring.fd < 0:
+            record: Any = import_module("hil.record.recorder").record  # that module imports this one
+            self._thread = Thread(target=record, args=(other, lambda *_: ring), daemon=True)
+            self._thread.start()
+            return
+        # Ctrl-C must not end a recorder that starts: it inherits the mask and clears it when it is ready
+        held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, held)
+        try:
+            self.process = start(
+                "hil.record",
+                *map(str, (ring.fd, other.fileno(), os.getpid())),
+                environment={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(ring.fd, other.fileno()),
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            other.close()
+
+    @property
+    def alive(self) -> bool:
+        """True while the recorder runs."""
+        return self._thread.is_alive() if self.process is None else self.process.poll() is None
+
+    def send(self, message: Mapping[str, Any]) -> None:
+        """Send the recorder its set-up, or at the end the summary. Raises OSError if it has ended."""
+        self._link.send(message)
+
+    def answer(self, timeout_s: float) -> dict[str, Any]:
+        """Next answer of the recorder; {} if it has ended, an `error` entry after `timeout_s`."""
+        if not self._link.poll(timeout_s):
+            return {"error": f"the recorder did not answer within {timeout_s:g} s"}
+        return receive(self._link) or {}
+
+    def finish(self) -> None:
+        """Close the link to the recorder and wait up to 5 s until it has ended."""
+        self._link.close()
+        if self.process is None:
+            self._thread.join(5.0)
+        else:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(5.0)
+
+
+def receive(link: "Connection[Any, Any]") -> dict[str, Any] | None:
+    """Next message (a dictionary) from the other end of a link; None if that end is closed."""
     try:
-        return start(
-            "hil.record",
-            str(ring.fd),
-            str(os.getpid()),
-            environment={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            pass_fds=(ring.fd,),
-        )
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def send(process: RecorderEnd, message: Mapping[str, Any]) -> None:
-    """Send the recorder its set-up, or at the end the summary. Raises OSError if it has ended."""
-    if isinstance(process, RecorderThread):
-        process.inbox.put(message)
-        return
-    assert process.stdin is not None
-    process.stdin.write(pickle.dumps(message))
-    process.stdin.flush()
+        message: dict[str, Any] = link.recv()
+    except (EOFError, OSError):
+        return None
+    return message
 
 
 def loaded(name: str, code: bytes) -> Callable[..., int]:
@@ -64,35 +96,3 @@ def loaded(name: str, code: bytes) -> Callable[..., int]:
         return int(function(*[ctypes.c_void_p(array.ctypes.data) for array in arrays]))
 
     return call
-
-
-def answer(process: RecorderEnd, timeout_s: float) -> dict[str, Any]:
-    """Next answer of the recorder; {} if it has ended, an `error` entry after `timeout_s`."""
-    if isinstance(process, RecorderThread):
-        return process.answer(timeout_s)
-    assert process.stdout is not None
-    if not select.select([process.stdout], [], [], timeout_s)[0]:
-        return {"error": f"the recorder did not answer within {timeout_s:g} s"}
-    return receive(process.stdout) or {}
-
-
-def receive(pipe: IO[bytes]) -> dict[str, Any] | None:
-    """Next message (a dictionary) from the other end of a pipe; None if that end is closed."""
-    try:
-        message: dict[str, Any] = pickle.load(pipe)  # noqa: S301 - of our own process
-    except (EOFError, pickle.UnpicklingError):
-        return None
-    return message
-
-
-def finish(process: RecorderEnd) -> None:
-    """Close the pipes to the recorder and wait up to 5 s until it has ended."""
-    if isinstance(process, RecorderThread):
-        process.finish()
-        return
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()
-    with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(5.0)

@@ -1,7 +1,7 @@
 """Recorder process: writes the ticks in the ring to the log until its producer closes or dies.
 
-Signals do not end it. Command: `python -m hil.record RING_FD PRODUCER_PID`. It reads the set-up, then the
-summary, from standard input and answers on standard output (`hil.record.child` is the other end).
+Signals do not end it. Command: `python -m hil.record RING_FD LINK_FD PRODUCER_PID`. It reads the set-up, then
+the summary, from the link, and answers there (`hil.record.child` is the other end).
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ import contextlib
 import errno
 import math
 import os
-import pickle
-import select
 import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
 from itertools import pairwise
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import IO, Any, Protocol
+from typing import Any
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -216,45 +215,25 @@ def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> 
         return None
 
 
-class Control(Protocol):
-    """End of the producer."""
+class Control:
+    """Waits for the end of the producer: its summary on the link, or its death. State: the summary."""
 
-    @property
-    def summary(self) -> Mapping[str, str] | None:
-        """Its summary, after its end; None if it died."""
-
-    def ended(self, timeout_s: float) -> bool:
-        """Wait up to `timeout_s`; True if the producer has closed the recording or died."""
-
-
-class _Control:
-    """Waits for the end of the producer: its summary on a pipe, or its death. State: the summary."""
-
-    def __init__(self, pipe: IO[bytes], producer: int) -> None:
-        self._pipe = pipe
+    def __init__(self, link: Connection[Any, Any], producer: int | None) -> None:
+        """producer: its process; None for the process of the recorder itself."""
+        self._link = link
         self.summary: dict[str, str] | None = None
-        self._poll = select.poll()
-        self._poll.register(pipe, select.POLLIN)
-        self._pidfd = -1
-        # a child that outlives the producer could hold the pipe open
-        with contextlib.suppress(OSError):
-            self._pidfd = os.pidfd_open(producer)
-            self._poll.register(self._pidfd, select.POLLIN)
-        self._orphan = os.getppid() != producer
+        self._watched: list[Any] = [link]
+        self._orphan = producer is not None and os.getppid() != producer
+        if producer is not None:  # a child that outlives the producer could hold the link open
+            with contextlib.suppress(OSError):
+                self._watched.append(os.pidfd_open(producer))
 
     def ended(self, timeout_s: float) -> bool:
         """Wait up to `timeout_s`; True if the producer has closed the recording or died."""
-        ready = {fd for fd, _ in self._poll.poll(timeout_s * 1000.0)}
-        if self._pipe.fileno() in ready:
-            self.summary = receive(self._pipe)
-            return True
-        return self._orphan or self._pidfd in ready
-
-
-def answer(message: Mapping[str, object]) -> None:
-    """Send an answer to the producer process, unless that has ended."""
-    with contextlib.suppress(OSError):
-        os.write(sys.stdout.fileno(), pickle.dumps(message))
+        ready = wait(self._watched, timeout_s)
+        if self._link in ready:
+            self.summary = receive(self._link)
+        return self._orphan or bool(ready)
 
 
 def _recorded(recorder: Recorder, control: Control) -> dict[str, object]:
@@ -273,32 +252,35 @@ def main(arguments: list[str]) -> int:
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
-    ring_fd, producer = map(int, arguments)
-    setup = receive(sys.stdin.buffer)
-    if setup is None:
-        return 1
+    ring_fd, link_fd, producer = map(int, arguments)
 
-    def mapped(run: Run) -> Ring:
-        ring = Ring(ring_fd, Table(run.topic, run.columns).dtype, setup["ring_ticks"])
+    def mapped(table: Table, ticks: int) -> Ring:
+        ring = Ring(ring_fd, table.dtype, ticks)
         ring.close_fd()
         return ring
 
-    return record(setup, mapped, lambda: _Control(sys.stdin.buffer, producer), answer)
+    return record(Connection(link_fd), mapped, producer)
 
 
 def record(
-    setup: Mapping[str, Any],
-    mapped: Callable[[Run], Ring],
-    watched: Callable[[], Control],
-    say: Callable[[Mapping[str, object]], None],
+    link: Connection[Any, Any], mapped: Callable[[Table, int], Ring], producer: int | None = None
 ) -> int:
-    """Record one log; return the exit code. `mapped` gives the ring, `watched` the end of the producer."""
-    file: McapFile | None = None
+    """Record one log; return the exit code. `mapped` gives the ring; `producer` as for `Control`."""
+    setup, file = receive(link), None
+    if setup is None:
+        return 1
+    if producer is None:
+        setup["packer"] = None  # that of this process
+
+    def say(message: Mapping[str, object]) -> None:
+        with contextlib.suppress(OSError):  # the producer has ended
+            link.send(message)
+
     try:
         run = Run.of(setup["identity"])
-        recorder = Recorder(mapped(run), run, setup)
+        recorder = Recorder(mapped(Table(run.topic, run.columns), setup["ring_ticks"]), run, setup)
         file = recorder.file
-        control = watched()
+        control = Control(link, producer)
         say({"ready": True})
         say(_recorded(recorder, control))
         if recorder.socket is not None and not recorder.socket.close():

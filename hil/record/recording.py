@@ -20,7 +20,7 @@ from drivers.clock import MONOTONIC, Clock
 from drivers.errors import LogError
 from drivers.frame_array import FRAME, frame_bytes, received_array, sent_array, sent_at
 from drivers.protocol import Frame, Received
-from hil.record.child import RecorderEnd, answer, finish, send, spawn
+from hil.record.child import RecorderEnd
 from hil.record.environment import environment, product_version, scheduling
 from hil.record.layout import MAX_DATA
 from hil.record.ring import (
@@ -101,10 +101,10 @@ class Recording:
     State: counters of the ring's write side, the final reply of the recorder.
     """
 
-    def __init__(self, ring: Ring, process: RecorderEnd, path: Path, *, lockstep: bool) -> None:
+    def __init__(self, ring: Ring, end: RecorderEnd, path: Path, *, lockstep: bool) -> None:
         self.path = path
         self._ring = ring
-        self._process = process
+        self._end = end
         self._lockstep = lockstep
         self._counters = ring.counters
         self._items = 0
@@ -118,8 +118,8 @@ class Recording:
     @property
     def process(self) -> subprocess.Popen[bytes]:
         """Recorder's process, on Linux."""
-        assert isinstance(self._process, subprocess.Popen)
-        return self._process
+        assert self._end.process is not None
+        return self._end.process
 
     @classmethod
     def start(
@@ -182,7 +182,7 @@ class Recording:
     @property
     def alive(self) -> bool:
         """True while the recorder process runs."""
-        return self._process.poll() is None
+        return self._end.alive
 
     @property
     def trouble(self) -> str:
@@ -278,9 +278,9 @@ class Recording:
         """
         if self._summary is None:
             with contextlib.suppress(OSError):
-                send(self._process, _texts(summary or {}))
+                self._end.send(_texts(summary or {}))
             reply = self._last_words(timeout_s)
-            finish(self._process)
+            self._end.finish()
             self._ring.close_fd()
             self._summary = self._summarise(reply)
         return self._summary
@@ -304,7 +304,7 @@ class Recording:
     def _last_words(self, timeout_s: float) -> Mapping[str, Any]:
         """Final reply of the recorder process, waited for up to `timeout_s` and read once."""
         if self._reply is None:
-            self._reply = answer(self._process, timeout_s)
+            self._reply = self._end.answer(timeout_s)
         return self._reply
 
     def _error(self, reply: Mapping[str, Any]) -> str:
@@ -336,23 +336,23 @@ class Recording:
 
 def _start(ring: Ring, setup: Mapping[str, Any]) -> RecorderEnd:
     """Start the recorder process and wait until its log is open. Raises LogError."""
-    process = spawn(ring)
+    end = RecorderEnd(ring)
     try:
         from hil.record.packer import pack  # noqa: PLC0415 - Numba; the process starts meanwhile
 
-        send(process, {**setup, "packer": pack.machine_code})
-        reply = answer(process, _START_S)
+        end.send({**setup, "packer": pack.machine_code})
+        reply = end.answer(_START_S)
     except OSError:
-        reply = answer(process, 1.0)
+        reply = end.answer(1.0)
     except BaseException:  # an interrupt: the recorder closes its file and ends
-        finish(process)
+        end.finish()
         raise
     if "ready" not in reply:
-        if isinstance(process, subprocess.Popen):
-            process.kill()
-        finish(process)
+        if end.process is not None:
+            end.process.kill()
+        end.finish()
         raise LogError(str(reply.get("error", f"{setup['path']}: the recorder process did not start")))
-    return process
+    return end
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 import pickle
+import struct
 import subprocess
+from multiprocessing.connection import Pipe
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -14,11 +15,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from hil.record import Recording, child
+from hil.record import Recording
 from hil.record import recorder as module
+from hil.record.child import RecorderEnd
 from hil.record.encode import Encoder, Messages
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
-from hil.record.recorder import Recorder, _Control, _recorded
+from hil.record.recorder import Control, Recorder, _recorded
 from hil.record.recording import Live
 from hil.record.ring import DROPPED, Ring
 from hil.record.row import TICKS, Run, describe
@@ -114,7 +116,7 @@ def test_only_a_full_disk_closes_the_log_with_the_ticks_that_fit(tmp_path, monke
 
     bench = Bench(tmp_path)
     bench.tick(*range(40))
-    control = cast("_Control", SimpleNamespace(ended=lambda _: True, summary={}))
+    control = cast("Control", SimpleNamespace(ended=lambda _: True, summary={}))
     with monkeypatch.context() as patched:
         patched.setattr(McapFile, "add_chunk", refuse)
         with pytest.raises(OSError, match="it says"):
@@ -262,16 +264,6 @@ LONG_S = 10.0
 
 
 @pytest.fixture
-def held():
-    """Both ends of a pipe; the write end stays open, as in a child that outlives its parent."""
-    reads, writes = os.pipe()
-    with os.fdopen(reads, "rb") as pipe:
-        yield pipe, writes
-    with contextlib.suppress(OSError):
-        os.close(writes)
-
-
-@pytest.fixture
 def producer(monkeypatch):
     """A waiting process in the place of the parent."""
     with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as process:
@@ -280,18 +272,20 @@ def producer(monkeypatch):
         process.kill()
 
 
-def test_a_killed_producer_is_noticed_although_a_child_holds_the_pipe(held, producer, monkeypatch):
-    control = _Control(held[0], producer.pid)
+def test_a_killed_producer_is_noticed_although_a_child_holds_the_link(producer, monkeypatch):
+    _held, link = Pipe()
+    control = Control(link, producer.pid)
     assert not control.ended(0.0)
     producer.kill()
     assert control.ended(LONG_S)
     assert control.ended(0.0), "an ended producer must stay ended"
     assert control.summary is None
     monkeypatch.setattr(os, "getppid", lambda: 1)
-    assert _Control(held[0], producer.pid).ended(0.0), "a producer that died before the start has ended"
+    assert Control(link, producer.pid).ended(0.0), "a producer that died before the start has ended"
 
 
 WHOLE = pickle.dumps({"ending": "PARKED"})
+LENGTH = struct.pack("!i", len(WHOLE))
 
 
 @pytest.mark.parametrize(
@@ -299,29 +293,27 @@ WHOLE = pickle.dumps({"ending": "PARKED"})
     [(WHOLE, False, {"ending": "PARKED"}), (WHOLE[:-5], True, None), (b"", True, None)],
     ids=["whole", "cut", "none"],
 )
-def test_a_living_producer_ends_with_its_summary_or_its_pipe(held, producer, sent, closed, summary):
-    control = _Control(held[0], producer.pid)
+def test_a_living_producer_ends_with_its_summary_or_its_link(producer, sent, closed, summary):
+    end, link = Pipe()
+    control = Control(link, producer.pid)
     assert not control.ended(0.0)
-    os.write(held[1], sent)
+    os.write(end.fileno(), LENGTH + sent if sent else b"")
     if closed:
-        os.close(held[1])
+        end.close()
     assert control.ended(LONG_S)
     assert control.summary == summary
 
 
-READY = pickle.dumps({"ready": True})
-
-
 @pytest.mark.parametrize(
     ("answered", "ends", "found"),
-    [(READY, False, {"ready": True}), (READY[:-4], True, {}), (b"", True, {}), (b"", False, None)],
+    [(WHOLE, False, {"ending": "PARKED"}), (WHOLE[:-4], True, {}), (b"", True, {}), (b"", False, None)],
     ids=["one", "half of one", "nothing and dead", "nothing"],
 )
 def test_first_complete_answer_of_the_recorder_within_the_timeout_counts(answered, ends, found):
-    reads, writes = os.pipe()
-    with os.fdopen(reads, "rb") as pipe, os.fdopen(writes, "wb", buffering=0) as out:
-        out.write(answered)
-        if ends:
-            out.close()
-        answer = child.answer(cast("Any", SimpleNamespace(stdout=pipe)), 0.015)
+    recorder: Any = RecorderEnd.__new__(RecorderEnd)
+    recorder._link, other = Pipe()
+    os.write(other.fileno(), LENGTH + answered if answered else b"")
+    if ends:
+        other.close()
+    answer = recorder.answer(0.015)
     assert answer == found if found is not None else "0.015 s" in answer["error"]

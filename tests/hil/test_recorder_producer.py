@@ -21,27 +21,39 @@ from hil.record.row import Table, describe
 from hil.signals import Operator, Order, SetPoint
 
 
-class Process:
-    """Fake recorder process; with `drains` it drains the ring at the third check of its life."""
+class End:
+    """Fake recorder; with `drains` it drains the ring at the third check of its life. `did`: its calls."""
 
     ring: Ring
 
-    def __init__(self, *, ended=False, drains=False):
-        self.ended, self.drains, self.looks = ended, drains, 0
+    def __init__(self, *, ended=False, drains=False, reply=None):
+        self.ended, self.drains, self.looks, self.reply = ended, drains, 0, reply
+        self.did: list[Any] = []
 
-    def poll(self):
+    @property
+    def alive(self):
         self.looks += 1
         if self.drains and self.looks == 3:
             self.ring.release(self.ring.take(16))
-        return 1 if self.ended else None
+        return not self.ended
+
+    def send(self, message):
+        self.did.append(message)
+
+    def answer(self, timeout_s):
+        self.did.append(timeout_s)
+        return self.reply
+
+    def finish(self):
+        self.did.append("finish")
 
 
-def recording_of(capacity=16, *, lockstep=False, process=None):
+def recording_of(capacity=16, *, lockstep=False, end=None):
     ring = Ring.create(ROW, capacity)
     ring.close_fd()
-    given: Any = process
-    if process is not None:
-        process.ring = ring
+    given: Any = end
+    if end is not None:
+        end.ring = ring
     return Recording(ring, given, Path("b/a.mcap"), lockstep=lockstep)
 
 
@@ -124,9 +136,9 @@ def test_a_tick_with_too_many_items_is_dropped_completely(kind):
 @pytest.mark.parametrize("full", ["rows", "items"])
 @pytest.mark.parametrize("what", ["tick", "event"])
 def test_in_lockstep_a_tick_and_an_event_wait_for_room(monkeypatch, full, what):
-    process = Process(drains=True)
+    end = End(drains=True)
     naps: list[float] = []
-    recording = recording_of(lockstep=True, process=process)
+    recording = recording_of(lockstep=True, end=end)
     monkeypatch.setattr(time, "sleep", naps.append)
     for number in range(16 if full == "rows" else 1):
         recording.tick(row_of(number), (), (), [1] * (256 if full == "items" else 0))
@@ -138,12 +150,12 @@ def test_in_lockstep_a_tick_and_an_event_wait_for_room(monkeypatch, full, what):
     assert 0 < max(naps) <= 0.001
     assert len(naps) == 3
     assert recording.dropped == 0
-    batch = process.ring.take(16)
+    batch = end.ring.take(16)
     assert (batch.rows["tick"].tolist(), len(batch.items)) == (([99], 256) if what == "tick" else ([], 1))
 
 
 def test_in_lockstep_a_tick_larger_than_the_ring_is_refused():
-    recording = recording_of(lockstep=True, process=Process())
+    recording = recording_of(lockstep=True, end=End())
     recording.tick(row_of(0), (), (), [1] * 256)
     recording._ring.release(recording._ring.take(1))
     with pytest.raises(LogError, match="257 frames, but the ring holds 256"):
@@ -190,32 +202,19 @@ CLEAN = {"closed": "clean", "ticks": 3, "messages": 11, "size_bytes": 4096, "rec
 
 
 @pytest.fixture
-def ended(monkeypatch, tmp_path):
+def ended(tmp_path):
     """Function that makes a recording of three ticks, two of them read, with this final reply of the
     recorder.
     """
 
-    def make(reply, *, ended=True, broken=False):
-        did: list[Any] = []
-
-        def send(process, data):
-            did.append(data)
-            if broken:
-                raise BrokenPipeError
-
-        def answer(process, timeout_s):
-            did.append(timeout_s)
-            return reply
-
-        monkeypatch.setattr(module, "send", send)
-        monkeypatch.setattr(module, "answer", answer)
-        monkeypatch.setattr(module, "finish", lambda _: did.append("finish"))
-        recording = recording_of(process=Process(ended=ended))
+    def make(reply, *, ended=True):
+        end = End(ended=ended, reply=reply)
+        recording = recording_of(end=end)
         recording.path = tmp_path / "a.mcap"
         for number in range(3):
             recording.tick(row_of(number), (), ())
         recording._ring.release(recording._ring.take(2))
-        return recording, did
+        return recording, end.did
 
     return make
 

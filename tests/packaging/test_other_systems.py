@@ -15,10 +15,11 @@ from hil import Log, sim
 
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT = """
-import ctypes, importlib.metadata, multiprocessing.connection, os, select, signal, socket, subprocess, sys, time
+import ctypes, importlib.metadata, multiprocessing.connection, os, select, selectors, signal, socket, subprocess, sys, time
 import can, cantools, click, fmpy.fmi2, fmpy.fmi3, mcap.reader, mcap_protobuf.writer, numba.typed, numpy, pydantic
 for module in ("fcntl", "grp", "pwd", "resource", "termios", "tty"):
     sys.modules[module] = None
+pair, unix = socket.socketpair, socket.AF_UNIX
 LACKING = {
     os: '''SCHED_BATCH SCHED_FIFO SCHED_OTHER SCHED_RESET_ON_FORK SCHED_RR O_CLOEXEC O_DIRECTORY O_NOCTTY O_NOFOLLOW
         O_NONBLOCK fdatasync fork getuid memfd_create pidfd_open posix_fallocate pwrite register_at_fork
@@ -33,6 +34,8 @@ for module, names in LACKING.items():
     for name in names.split():
         if hasattr(module, name):
             delattr(module, name)
+# multiprocessing waits and connects by other calls on Windows
+multiprocessing.connection._WaitSelector, socket.socketpair = selectors.SelectSelector, lambda: pair(unix)
 class CDLL(ctypes.CDLL):
     def __init__(self, name, *more, **options):
         if name is None:

@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
 from drivers.errors import LogError
-from drivers.files import open_regular
+from drivers.files import open_regular, whole_file
 from hil.record.encode import channels_of
 from hil.record.environment import product_version
 from hil.record.mcap_file import MAGIC, McapFile, record_bytes
@@ -31,7 +31,6 @@ _BEGIN = re.compile(
 )
 """Start of a chunk, or of the metadata record of the run."""
 _BEGIN_BYTES = 45
-_EXISTS = "exists and is never overwritten: choose another name"
 _WINDOW = 1 << 20
 _REMARKS = 20
 """Most remarks that are written into the log and reported; further damage is only counted."""
@@ -254,14 +253,13 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
             f"{source}: the description of its run is damaged: nothing to salvage: {why(error)}"
         ) from None
     if os.path.lexists(target):
-        raise LogError(f"{target}: {_EXISTS}")
+        raise LogError(f"{target}: exists and is never overwritten: choose another name")
     own = channels_of(Table(run.topic, run.columns), run.can_channels)
     known = {topic: number for number, (topic, *_) in own.items()}
     numbers = {n: n for n in own} | {n: known[topic] for n, topic in topics.items() if topic in known}
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        try:
-            temporary.unlink(missing_ok=True)
+        with whole_file(target) as temporary:
+            temporary.unlink()
             file = McapFile(temporary, f"{LIBRARY}/{product_version()}")
             try:
                 file.add_metadata(IDENTITY, identity)
@@ -275,23 +273,6 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
                 work.close()
             finally:
                 file.close()
-            _give_name(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except FileExistsError:
-        raise LogError(f"{target}: {_EXISTS}") from None
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
     return work.report
-
-
-def _give_name(temporary: Path, target: Path) -> None:
-    """Rename a complete file to `target`. Raises FileExistsError if this name was taken meanwhile."""
-    try:
-        os.link(temporary, target)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links
-        if os.path.lexists(target):
-            raise FileExistsError from None
-        temporary.rename(target)

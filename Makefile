@@ -49,8 +49,8 @@ bench: fmu  ## benchmark: computing time per tick, wake-up, latency, recorder, r
 	@exec $(BIN)/python -m tools.benchmarks
 
 claims: fmu  ## measure the figures of README and docs again (docs/claims.yaml), and 200 disturbances and timings of each law
-	@$(BIN)/python -m tools.claims $(CLAIMS_FLAGS)
-	@PREMISES=200 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 -m "long or not long" -o faulthandler_timeout=1500 tests/loop/test_timing_premises.py
+	@PREMISES=200 $(BIN)/python -m pytest -q -n auto --maxprocesses 4 -m "long or not long" -o faulthandler_timeout=1500 \
+		tests/docs/test_claims.py tests/loop/test_timing_premises.py $(CLAIMS_FLAGS)
 
 docs: fmu  ## build the documentation, build/docs/index.html; a warning is an error
 	@$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs
@@ -69,7 +69,7 @@ publishable: releasers  ## the same, refused while tag, date of the changelog or
 	@exec $(BIN)/python -m tools.release --publish
 
 portability: venv  ## all tests with each Python in PYTHONS="python3.12 python3.13"; the results go into docs/portability.md
-	@exec $(BIN)/python -m tools.portability $(PYTHONS)
+	@exec sh tools/portability $(PYTHONS)
 
 clean:  ## remove .venv, builds and caches; logs in runs/ stay
 	@rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

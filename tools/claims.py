@@ -1,4 +1,4 @@
-"""`make claims`: measure the figures that README and docs state, listed in docs/claims.yaml.
+"""Measure the figures that README and docs state, listed in docs/claims.yaml, for `make claims`.
 
 Each run is a command that writes JSON (`--json`); each claim quotes a text of a page and reads its figures
 out of one run. A figure holds if the measured value, rounded to the quoted digits, is the quoted one.
@@ -17,7 +17,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-import click
 import numpy as np
 import yaml
 
@@ -112,35 +111,3 @@ def judged(claims: list[Claim], result: Any) -> Iterator[tuple[Claim, str, float
         for quoted, place in zip(claim.figures, claim.read, strict=True):
             measured = value(result, place)
             yield claim, quoted, measured, holds(quoted, measured, claim.within)
-
-
-@click.command(help=__doc__)
-@click.option("--only", default="", help="Claims whose page or run contains this text.")
-def main(only: str) -> None:
-    """Measure, print page, quoted, measured, verdict, and exit with 1 if a figure differs."""
-    sys.exit(measure(only))
-
-
-def measure(only: str = "") -> int:
-    """Measure the claims whose page or run contains a text; 1 if a figure differs or was not measured."""
-    runs, claims = table()
-    chosen = [c for c in claims if only in c.page or only in c.run]
-    names = [name for name in runs if name != BENCH and any(c.run == name for c in chosen)]
-    wrong = [f"{c.page}  not on the page: {c.quote}" for c in chosen if not c.stands()]
-    for name in names:
-        print(f"# {name}: {runs[name].command}", flush=True)
-        try:
-            result = runs[name].result()
-            for c, quoted, measured, fine in judged([c for c in chosen if c.run == name], result):
-                verdict = "holds" if fine else "DIFFERS"
-                line = f"{c.page}  quoted {quoted}  measured {measured:.5g}  {verdict}"
-                print(line, flush=True)
-                wrong += [] if fine else [f"{line}  ({c.quote})"]
-        except (subprocess.CalledProcessError, LookupError, TypeError) as error:
-            wrong.append(f"{name}: not measured: {error!r} {getattr(error, 'stderr', '')[-600:]}")
-    print("\n".join(wrong) if wrong else "all figures hold")
-    return len(wrong) and 1
-
-
-if __name__ == "__main__":
-    main()

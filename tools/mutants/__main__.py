@@ -11,13 +11,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 
 import click
-from scipy.stats import binomtest
 
 from drivers.compiled.cache import CACHE_FOLDER
 from tools.mutants.mutant import Mutant, equivalents, mutants
@@ -57,8 +55,7 @@ _COPIED = shutil.ignore_patterns(".*", "build", "dist", "runs", "__pycache__")
 @click.option("--area", "areas", type=click.Choice(list(AREAS)), multiple=True, help="May be repeated.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of the sample.")
 @click.option("--sample", type=int, default=50, show_default=True, help="Number of mutants per area.")
-@click.option("--again", is_flag=True, help="Run surviving mutants again, e.g. after adding tests.")
-def main(areas: tuple[str, ...], seed: int, sample: int, again: bool) -> None:
+def main(areas: tuple[str, ...], seed: int, sample: int) -> None:
     """Put mistakes into a copy of the tree, one at a time; print the test that detects each.
 
     A run continues where the last one ended. Results are in build/mutants, one file per area and seed.
@@ -66,20 +63,22 @@ def main(areas: tuple[str, ...], seed: int, sample: int, again: bool) -> None:
     for area in areas or AREAS:
         path = BUILD / f"{area}-{seed}.jsonl"
         before = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-        done = {r["key"]: r for r in before if not (again and r["outcome"] == "survived")}
+        done = {r["key"]: r for r in before}
         drawn = sampled(area, seed, sample)
         copy = Copy(BUILD / area, own_tests(area)) if any(key not in done for key, _ in drawn) else None
         for k, (key, mutant) in enumerate(drawn, 1):
-            if copy is None or key in done:
-                continue
-            outcome, by = copy.judged(mutant)
-            done[key] = {"key": key, **vars(mutant), "outcome": outcome, "by": by}
-            with path.open("a", encoding="utf-8") as file:
-                print(json.dumps(done[key]), file=file)
-            print(f"{k}/{len(drawn)} {outcome} {mutant} {by}", file=sys.stderr, flush=True)
-        counted = [m for key, m in drawn if done[key]["outcome"] != "not loaded"]
-        left = [m for key, m in drawn if done[key]["outcome"] == "survived"]
-        print(summary(area, len(counted), left), flush=True)
+            if copy is not None and key not in done:
+                outcome, by = copy.judged(mutant)
+                done[key] = {"key": key, **vars(mutant), "outcome": outcome, "by": by}
+                with path.open("a", encoding="utf-8") as file:
+                    print(json.dumps(done[key]), file=file)
+                print(f"{k}/{len(drawn)} {outcome} {mutant} {by}", file=sys.stderr, flush=True)
+        outcomes = [done[key]["outcome"] for key, _ in drawn]
+        count = len(drawn) - outcomes.count("not loaded")
+        print(f"{area}: {outcomes.count('noticed')} of {count} noticed", flush=True)
+        for (_, mutant), outcome in zip(drawn, outcomes, strict=True):
+            if outcome == "survived":
+                print(f"  {mutant}", flush=True)
 
 
 def sources_of(area: str) -> list[str]:
@@ -136,7 +135,7 @@ class Copy:
         text = path.read_text(encoding="utf-8")
         path.write_text(mutant.applied(text), encoding="utf-8")
         try:
-            code, output = self.run(list(self.nearest_first(mutant)), self.limit_s)
+            code, output = self.run(self.nearest_first(mutant), self.limit_s)
         finally:
             path.write_text(text, encoding="utf-8")
             for kernels in set(self.cache.iterdir()) - compiled:
@@ -144,14 +143,13 @@ class Copy:
         if failed := re.search(r"^FAILED (\S+)|^ERROR (\S+::\S+)", output, re.MULTILINE):
             return "noticed", failed[1] or failed[2]
         if code is None or code < 0:
-            return "noticed", f"{'time limit' if code is None else f'signal {-code}'}"
+            return "noticed", "time limit or signal"
         return ("survived", "") if code == 0 else ("not loaded", "")
 
-    def nearest_first(self, mutant: Mutant) -> Iterator[str]:
-        """Yield the tests: first those that mention the module of the mutant, then the others."""
-        module = Path(mutant.file).stem
-        texts = {test: (self.root / test).read_text(encoding="utf-8") for test in self.tests}
-        yield from sorted(texts, key=lambda test: not re.search(rf"\b{module}\b", texts[test]))
+    def nearest_first(self, mutant: Mutant) -> list[str]:
+        """Tests, those first that mention the module of the mutant."""
+        module = re.compile(rf"\b{Path(mutant.file).stem}\b")
+        return sorted(self.tests, key=lambda test: not module.search((self.root / test).read_text("utf-8")))
 
     def run(self, tests: list[str], limit_s: float) -> tuple[int | None, str]:
         """Run tests up to the first failure; return exit code, None after the time limit, and output."""
@@ -176,15 +174,6 @@ class Copy:
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
         return code, output.read_text(encoding="utf-8", errors="replace")
-
-
-def summary(area: str, count: int, left: list[Mutant]) -> str:
-    """Text with the share of mistakes that tests notice, its 95 % interval, and each unnoticed mistake."""
-    share = f"{area}: {count - len(left)} of {count} noticed"
-    if count:
-        low, high = binomtest(count - len(left), count).proportion_ci(method="wilson")
-        share += f" (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
-    return "\n  ".join([share, *map(str, left)])
 
 
 if __name__ == "__main__":

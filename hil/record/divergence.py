@@ -14,17 +14,6 @@ from drivers.tick_columns import Column
 from hil.record.selection import name_of
 
 
-class Tolerance(NamedTuple):
-    """Allowed difference of two values: |a - b| <= absolute + relative * max(1, |b|)."""
-
-    absolute: float = 0.0
-    """Allowed difference in the unit of the column; inf: the column never diverges."""
-    relative: float = 0.0
-
-
-EXACT = Tolerance()
-
-
 class Place(NamedTuple):
     """One element of a column at one tick, with its value in both of the compared logs."""
 
@@ -44,10 +33,13 @@ class Place(NamedTuple):
 
 @dataclass
 class ColumnDivergence:
-    """Differences of one column between two logs. Mutable state: all fields below the tolerance."""
+    """Differences of one column between two logs. Mutable state: all fields below the tolerances."""
 
     column: Column
-    tolerance: Tolerance = EXACT
+    absolute: float = 0.0
+    """Allowed difference in the unit of the column; inf: the column never diverges."""
+    relative: float = 0.0
+    """Allowed difference for each unit of max(1, |other|), in addition."""
     ticks: int = 0
     """Ticks with an element beyond the tolerance."""
     first: Place | None = None
@@ -74,7 +66,7 @@ class ColumnDivergence:
             return np.zeros(len(a), bool)
         difference = _difference(a, b)
         size_of_b = np.where(np.isfinite(b), np.maximum(1.0, np.abs(b.astype(np.float64))), 0.0)
-        beyond = difference > self.tolerance.absolute + self.tolerance.relative * size_of_b
+        beyond = difference > self.absolute + self.relative * size_of_b
 
         def place(row: int, element: int) -> Place:
             values = a[row, element].item(), b[row, element].item()
@@ -104,8 +96,12 @@ class Divergence:
     def __init__(
         self, columns: Sequence[Column], tolerances: Mapping[str, float] | None = None, relative: float = 0.0
     ) -> None:
-        given = tolerances or {}
-        self.columns = [ColumnDivergence(c, _tolerance(c, given, relative)) for c in columns]
+        given, others = tolerances or {}, np.inf if relative == np.inf else 0.0
+        self.columns = []
+        for c in columns:
+            scaled = c.type is float and c.name not in given and not others
+            absolute = given.get(c.name, others)
+            self.columns.append(ColumnDivergence(c, absolute, relative if scaled else 0.0))
 
     def take(self, one: Rows, other: Rows, time_s: Array) -> Flags:
         """Compare rows (n,) of two logs tick by tick; flags (n,) of rows beyond a tolerance; time_s (n,)."""
@@ -130,15 +126,6 @@ class Divergence:
         """Columns beyond their tolerance at the earliest tick at which any column is."""
         ticks = [each.first.tick for each in self.diverging if each.first]
         return [each for each in self.diverging if each.first and each.first.tick == ticks[0]]
-
-
-def _tolerance(column: Column, given: Mapping[str, float], relative: float) -> Tolerance:
-    """Tolerance of a column: the one given for it, else `relative` for floats, and none for integers."""
-    if column.name in given:
-        return Tolerance(given[column.name])
-    if relative == np.inf:
-        return Tolerance(np.inf)
-    return Tolerance(0.0, relative if column.type is float else 0.0)
 
 
 def _difference(a: Array, b: Array) -> Array:

@@ -43,7 +43,6 @@ LOCKSTEP_EPOCH_NS = 946_684_800_000_000_000
 """2000-01-01T00:00:00Z, the UTC of t_ns = 0 in lockstep."""
 _SETPOINT = int(Operator.SETPOINT)
 _START_S = 20.0
-_PIECE = MAX_DATA
 VIEW_EVERY = 33
 """Ticks between two messages of `/scene` and `/tf`."""
 
@@ -149,10 +148,8 @@ class Recording:
         reproducible messages. Else `clock` gives the times.
         mirror : file for the newest row of TICKS, and the description of the run in it.
 
-        Raises LogError: the log exists, cannot be written, or the recorder does not start. Raises ValueError:
-        the table cannot be recorded.
+        Raises LogError: the log exists, cannot be written, or the recorder does not start.
         """
-        table.check()
         file = Path(path).absolute()
         created_ns = LOCKSTEP_EPOCH_NS if lockstep else time.time_ns()
         columns = describe(table.columns)
@@ -262,7 +259,7 @@ class Recording:
     def event(self, t_ns: int, level: str, text: str) -> None:
         """Record a text of `level` debug, info, warning or error at t_ns, before the next tick."""
         data = text.encode(errors="replace")  # it may contain a file name that is not UTF-8
-        pieces = [data[i : i + _PIECE] for i in range(0, len(data), _PIECE)] or [b""]
+        pieces = [data[i : i + MAX_DATA] for i in range(0, len(data), MAX_DATA)] or [b""]
         if not self._has_room(len(pieces)):
             return
         for left, piece in zip(range(len(pieces) - 1, -1, -1), pieces, strict=True):

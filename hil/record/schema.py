@@ -29,6 +29,8 @@ OPERATOR = "hil.OperatorCommand"
 RX, TX = 1, 2
 """Values of hil.Frame.direction."""
 
+_STAMPED = "received: end of the frame; sent: the tick, or the send"
+
 Type = descriptor_pb2.FieldDescriptorProto
 
 
@@ -50,12 +52,7 @@ def frame_schema() -> Schema:
     file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
     message = file.message_type[0]
     fields: list[tuple[str, Type.Type.ValueType, str, str]] = [
-        (
-            "header",
-            Type.TYPE_MESSAGE,
-            ".hil.Header",
-            "received: end of the frame; sent: the tick, or the send",
-        ),
+        ("header", Type.TYPE_MESSAGE, ".hil.Header", _STAMPED),
         ("id", Type.TYPE_FIXED32, "", "without flags"),
         ("is_rtr", Type.TYPE_BOOL, "", ""),
         ("is_extended", Type.TYPE_BOOL, "", ""),

@@ -88,8 +88,8 @@ def against(
         "columns": [
             divergences.fields(each, SIDES)
             | {
-                "tolerance": _allowed(each.tolerance.absolute),
-                "relative_tolerance": each.tolerance.relative,
+                "tolerance": _allowed(each.absolute),
+                "relative_tolerance": each.relative,
                 "diverges": each.diverges,
             }
             for each in different

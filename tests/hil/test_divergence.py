@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.tick_columns import COLUMNS, ROW
-from hil.record.divergence import EXACT, ColumnDivergence, Divergence, Tolerance
+from hil.record.divergence import ColumnDivergence, Divergence
 
 
 def rows(count=4, **columns):
@@ -17,8 +17,8 @@ def rows(count=4, **columns):
     return found
 
 
-def compared(one, other, name, tolerance=EXACT):
-    found = ColumnDivergence(COLUMNS[name], tolerance)
+def compared(one, other, name, tolerance=(0.0, 0.0)):
+    found = ColumnDivergence(COLUMNS[name], *tolerance)
     beyond = found.take(one, other, np.arange(len(one), dtype=np.float64) / 2.0)
     assert found.ticks == beyond.sum()
     return found, beyond.tolist()
@@ -40,22 +40,22 @@ def test_first_and_largest_difference_of_two_logs_are_reported_with_tick_and_leg
 @pytest.mark.parametrize(
     ("one", "other", "tolerance", "beyond"),
     [
-        (1.0, 1.5, Tolerance(0.5), False),
-        (1.0, 1.5, Tolerance(0.499), True),
-        (1e6, 1e6 + 1.0, Tolerance(0.0, 1e-6), False),  # relative to the size
-        (1e6, 1e6 + 2.0, Tolerance(0.0, 1e-6), True),
-        (-1e6, -1e6 - 1.0, Tolerance(0.0, 1e-6), False),
-        (-1e6, -1e6 - 2.0, Tolerance(0.0, 1e-6), True),
-        (1e-3, 1e-3 + 2e-6, Tolerance(0.0, 1e-6), True),  # and to 1 where that is less
-        (1e-3, 1e-3 + 5e-7, Tolerance(0.0, 1e-6), False),
-        (np.nan, np.nan, Tolerance(), False),
-        (np.nan, 1.0, Tolerance(1e9, 1e9), True),
-        (1.0, np.nan, Tolerance(1e9, 1e9), True),
-        (np.nan, 1.0, Tolerance(np.inf), False),
-        (np.inf, np.inf, Tolerance(), False),
-        (1.0, np.inf, Tolerance(1.0, 1.0), True),
-        (np.inf, -np.inf, Tolerance(1.0, 1.0), True),
-        (-0.0, 0.0, Tolerance(), False),
+        (1.0, 1.5, (0.5, 0.0), False),
+        (1.0, 1.5, (0.499, 0.0), True),
+        (1e6, 1e6 + 1.0, (0.0, 1e-6), False),  # relative to the size
+        (1e6, 1e6 + 2.0, (0.0, 1e-6), True),
+        (-1e6, -1e6 - 1.0, (0.0, 1e-6), False),
+        (-1e6, -1e6 - 2.0, (0.0, 1e-6), True),
+        (1e-3, 1e-3 + 2e-6, (0.0, 1e-6), True),  # and to 1 where that is less
+        (1e-3, 1e-3 + 5e-7, (0.0, 1e-6), False),
+        (np.nan, np.nan, (0.0, 0.0), False),
+        (np.nan, 1.0, (1e9, 1e9), True),
+        (1.0, np.nan, (1e9, 1e9), True),
+        (np.nan, 1.0, (np.inf, 0.0), False),
+        (np.inf, np.inf, (0.0, 0.0), False),
+        (1.0, np.inf, (1.0, 1.0), True),
+        (np.inf, -np.inf, (1.0, 1.0), True),
+        (-0.0, 0.0, (0.0, 0.0), False),
     ],
 )
 def test_log_values_are_compared_with_absolute_and_relative_tolerances(one, other, tolerance, beyond):
@@ -90,10 +90,10 @@ def test_diverging_columns_are_sorted_by_their_first_difference():
 
 def test_relative_tolerance_applies_to_float_columns_without_a_tolerance_of_their_own():
     found = Divergence([COLUMNS[name] for name in ("age", "q", "tau")], {"tau": 0.5}, 1e-3)
-    relative = [(each.tolerance.absolute, each.tolerance.relative) for each in found.columns]
+    relative = [(each.absolute, each.relative) for each in found.columns]
     assert relative == [(0.0, 0.0), (0.0, 1e-3), (0.5, 0.0)]
     found = Divergence([COLUMNS[name] for name in ("age", "q", "tau")], {"tau": 0.5}, np.inf)
-    assert [each.tolerance.absolute for each in found.columns] == [np.inf, np.inf, 0.5]
+    assert [each.absolute for each in found.columns] == [np.inf, np.inf, 0.5]
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_first_diverging_columns_are_all_columns_that_differ_in_the_earliest_tic
 def test_integer_differences_are_compared_with_the_absolute_tolerance(by, tolerance, beyond):
     age = np.zeros((4, 6), np.int64)
     age[2, 4] = by
-    found, ticks = compared(rows(age=age), rows(), "age", Tolerance(tolerance))
+    found, ticks = compared(rows(age=age), rows(), "age", (tolerance, 0.0))
     assert found.largest == 5.0
     assert ticks == [False, False, beyond, False]
 
@@ -129,7 +129,7 @@ def test_a_larger_difference_within_tolerance_is_not_the_first_divergence():
     one, other = rows(), rows()
     other["tau"][2] = one["tau"][2] = [1e6, 1.0, 2.0, 0.0, 0.0, 0.0]
     one["tau"][2] += [0.5, 0.1, 0.2, 0.0, 0.0, 0.0]
-    found, _ = compared(one, other, "tau", Tolerance(0.0, 1e-6))
+    found, _ = compared(one, other, "tau", (0.0, 1e-6))
     assert found.first is not None
     assert found.at is not None
     assert (found.first.tick, found.first.label) == (12, "tau.leg_2")

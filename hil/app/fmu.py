@@ -13,12 +13,12 @@ from plant_fmu.stewart.build import build
 from plant_fmu.stewart.plant import stewart_parameters
 
 
-def build_fmus(choice: Literal["2.0", "3.0", "both"], folder: Path | None = None) -> dict[str, Any]:
+def build_fmus(folder: Path | None = None) -> dict[str, Any]:
     """Build the FMUs, or take them from the cache, copy them into `folder`, and return the summary.
 
     Raises PlantError without a working compiler.
     """
-    versions: tuple[Literal["2.0", "3.0"], ...] = ("2.0", "3.0") if choice == "both" else (choice,)
+    versions: tuple[Literal["2.0", "3.0"], ...] = "2.0", "3.0"
     built = {
         f"fmi_{version[0]}": str(
             build(version, None if folder is None else folder / f"stewart-fmi{version[0]}.fmu")

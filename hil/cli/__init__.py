@@ -161,21 +161,6 @@ class _Table(click.Group):
 def main(ctx: click.Context, version: bool, verbose: bool) -> None:
     """Hardware-in-the-loop bridge for six-legged parallel robots on CAN.
 
-    \b
-    First steps, on this machine alone:
-      hil new FILE           a configuration of your own robot, from a few figures
-      hil check              figures, warnings and errors of a configuration; nothing moves
-      hil stability          what is proven about the control law, with error bounds
-      hil workspace          map of the reachable poses, with a picture
-      hil tune               gains for its delay, friction and encoders
-      hil compare            all control laws on this platform, path, bus and drives
-      hil sim                controller, bus, drives and platform in simulated time
-      hil run --plant        the same in real time; moves on Enter, or with --arm
-      hil watch              a live page about the run, in any browser
-      hil replay LOG         a recorded run replayed, compared to the bit
-      hil report LOG         a page about the log: faults, and margins to all limits
-      hil faults             how a run reacts to each kind of fault, at each moment
-
     CONFIG is a YAML file or the name of a shipped one: virtual (the default), ideal,
     virtual-cia402, socketcan, lab, lab-cia402, two_buses, desktop, bench, vcan50. Logs
     are MCAP files; without --log they go into the folder recording.folder of the

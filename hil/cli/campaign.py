@@ -46,10 +46,9 @@ class _OrRerun(shared.OrOther):
 @shared.jobs_option
 @shared.option("--scheduler", str, "ADDRESS", "Run on the workers of a Dask cluster, as tcp://10.0.0.5:8786.")
 @shared.flag("--fresh", "Discard the stored rows and start again.")
-@shared.option("--page", shared.OUTPUT, "FILE", "New HTML page; default: report.html in the folder.")
 @shared.junit_option
 @shared.reporting
-def command(file: Path, out: Path | None, page: Path | None, junit: Path | None, **options: Any) -> None:
+def command(file: Path, out: Path | None, junit: Path | None, **options: Any) -> None:
     """Run a configuration many times in simulated time, with swept keys, and count the failures.
 
     FILE is a YAML file, or the name of a shipped campaign: payload. It states a configuration, the values
@@ -66,20 +65,17 @@ def command(file: Path, out: Path | None, page: Path | None, junit: Path | None,
     """
     if options["jobs"] is not None and options["scheduler"] is not None:
         raise click.UsageError("--jobs is for this machine, --scheduler for a cluster: give one of them.")
-    from hil.app.files import new_file
     from hil.app.output import further
     from hil.study.campaign.command import run_campaign
     from hil.study.campaign.plan import read_plan
     from hil.study.campaign.show import show, summary_lines, verdicts, write_page
 
-    if page is not None:
-        new_file(page, option="--page")
     plan = read_plan(file)
     folder = plan.folder if out is None else out
     with shared.counted("running rows") as progress:
         summary = run_campaign(plan, folder, progress=progress, **options)
     show(plan, summary, out)
-    target = folder / "report.html" if page is None else page
+    target = folder / "report.html"
     with further(summary):
         write_page(target, plan, summary, out)
         summary["page"] = str(target)

@@ -1,7 +1,6 @@
 """The command `hil fmu`: its options and help text."""
 
 from pathlib import Path
-from typing import Literal
 
 import click
 
@@ -19,7 +18,6 @@ def command() -> None:
 
 
 @command.command("build", short_help="Compile the platform's physics into FMUs.")
-@shared.option("--fmi", click.Choice(["2.0", "3.0", "both"]), None, "FMI version.", default="both")
 @shared.option("--output", FOLDER, "FOLDER", "Copy the .fmu there.")
 @shared.option(
     "--ls-bus",
@@ -30,7 +28,7 @@ def command() -> None:
     flag_value="virtual",
 )
 @shared.reporting
-def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None, ls_bus: Path | None) -> None:
+def fmu_build_command(output: Path | None, ls_bus: Path | None) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
     One FMU serves every platform: geometry and inertia are its parameters. The FMU is kept in the user's
@@ -39,19 +37,16 @@ def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None, l
 
     \b
     Examples:
-      hil fmu build                          both versions, into the cache
-      hil fmu build --fmi 3.0 --output .     ./stewart-fmi3.fmu for another tool
+      hil fmu build --output .               ./stewart-fmi2.fmu, ./stewart-fmi3.fmu for another tool
       hil fmu build --ls-bus lab --output .  ./lab-can.fmu, the other end of its bus
 
     Guide: docs/guides/own-fmu.md, docs/guides/can-fmus.md.
     """
     from hil.app.fmu import build_can_fmu, build_fmus
 
-    if ls_bus is not None and fmi == "2.0":
-        raise click.UsageError("--ls-bus makes an FMU of FMI 3.0: leave out --fmi 2.0.")
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-    summary = build_fmus(fmi, output) if ls_bus is None else build_can_fmu(ls_bus, output)
+    summary = build_fmus(output) if ls_bus is None else build_can_fmu(ls_bus, output)
     shared.finish("fmu build", summary)
 
 

@@ -106,6 +106,4 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
     try:
         write_whole(path, text)
     except OSError as error:
-        raise LogError(
-            f"{path}: cannot be written: {error.strerror}; give another file with --page"
-        ) from None
+        raise LogError(f"{path}: cannot be written: {error.strerror}") from None

@@ -102,7 +102,6 @@ OUTPUTS = {
     "view LOG --out X": "a.rrd",
     "replay --suite . --junit X": "a.xml",
     "faults ideal --junit X": "a.xml",
-    "campaign payload --page X": "a.html",
     "design hinf hinf -o X": "a.yaml",
     "identify payload LOG -o X": "a.yaml",
     "identify sensors LOG -o X": "a.yaml",

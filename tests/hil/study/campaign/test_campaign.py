@@ -196,10 +196,6 @@ def test_the_command_shows_stored_rows_and_writes_junit_and_json(small, tmp_path
         2,
         True,
     )
-    page = tmp_path / "page.html"
-    page.write_text("mine")
-    result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, "--page", str(page)])
-    assert (result.exit_code, "exists and is not overwritten" in result.stderr) == (2, True)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "payload").mkdir()
     assert len(read_plan(Path("payload"))) == 500  # the shipped one, whatever folder has that name

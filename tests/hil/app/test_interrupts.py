@@ -18,6 +18,7 @@ from hil.cli import check, main
 from hil.cli.interrupts import INTERRUPTED
 from hil.loop.panel import OperatorPanel
 from hil.record import Recording, child
+from hil.record.child import RecorderEnd
 from hil.record.log import Log
 
 
@@ -112,7 +113,7 @@ def test_interrupt_during_the_recorder_start_takes_effect_after_the_start(monkey
 
     signal.signal(signal.SIGINT, lambda *_: order.append("interrupted"))
     monkeypatch.setattr(child, "start", start)
-    child.spawn(SimpleNamespace(fd=3))  # type: ignore[arg-type]
+    RecorderEnd(SimpleNamespace(fd=3))  # type: ignore[arg-type]
     assert order[:2] == ["started", "interrupted"]
 
 
@@ -138,21 +139,21 @@ def test_interrupted_simulation_reports_its_log_which_is_complete(process, monke
 
 def test_interrupt_while_the_recorder_writes_leaves_a_complete_log(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
-    send, answer, answered = child.send, child.answer, []
+    send, answer, answered = RecorderEnd.send, RecorderEnd.answer, []
 
     def send_to_a_busy_one(recorder, data):
-        os.kill(recorder.pid, signal.SIGSTOP)
+        os.kill(recorder.process.pid, signal.SIGSTOP)
         send(recorder, data)
 
     def interrupted_answer(recorder, timeout_s):
         answered.append(timeout_s)
         if len(answered) == 2:  # the first one was at the start
             press()
-        os.kill(recorder.pid, signal.SIGCONT)
+        os.kill(recorder.process.pid, signal.SIGCONT)
         return answer(recorder, timeout_s)
 
-    monkeypatch.setattr("hil.record.recording.send", send_to_a_busy_one)
-    monkeypatch.setattr("hil.record.recording.answer", interrupted_answer)
+    monkeypatch.setattr(RecorderEnd, "send", send_to_a_busy_one)
+    monkeypatch.setattr(RecorderEnd, "answer", interrupted_answer)
     code, said = process("sim", "ideal", "--duration", "0.1", "--log", path)
     assert len(answered) == 3
     assert (code, said) == (130, f"hil: interrupted after the run, which ended in PARKED; its log: {path}\n")

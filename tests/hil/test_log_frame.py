@@ -1,7 +1,6 @@
 """A log as a table: each component by name and unit, with the plant's rows of the same run."""
 
 import sys
-from enum import IntEnum, IntFlag
 from math import prod
 from types import SimpleNamespace
 from typing import Any
@@ -16,7 +15,6 @@ from hil.record import Recording
 from hil.record.data_frame import plant_rows_of, require_one_run
 from hil.record.log import Log
 from hil.record.schema import CONFIGURATION, IDENTITY, RUN
-from hil.record.selection import name_of
 from tests.hil.samples import log_of, random_ticks
 
 COUNT = 900
@@ -108,26 +106,6 @@ def test_columns_appear_once_and_in_the_requested_order(path, names):
     assert found.dtype.names == tuple(dict.fromkeys(names))
     for name in names:
         assert found[name].tobytes() == np.ascontiguousarray(ROWS[name]).tobytes()
-
-
-KIND = IntEnum("KIND", {"NONE": 0, "SLOW": 1, "FAST": 4})
-BITS = IntFlag("BITS", {"NONE": 0, "LATE": 1, "LOST": 2, "BOTH": 3, "HOT": 8})
-FLAGS = {
-    0: "NONE",
-    1: "LATE",
-    2: "LOST",
-    9: "LATE|HOT",
-    3: "LATE|LOST",
-    4: "4",
-    5: "LATE|4",
-    0x39: "LATE|HOT|48",
-}
-
-
-@pytest.mark.parametrize(("kind", "names"), [(KIND, {0: "NONE", 4: "FAST", 2: "2", -1: "-1"}), (BITS, FLAGS)])
-def test_number_has_its_name_in_the_log_or_is_shown_as_a_number(kind, names):
-    column = Column("output", "x", kind, "", "")
-    assert {number: name_of(column, number) for number in names} == names
 
 
 def test_message_without_pandas_explains_its_installation(path, monkeypatch):

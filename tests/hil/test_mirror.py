@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from drivers.errors import LogError
-from drivers.signals import Warn
 from drivers.tick_columns import ROW, Column
 from hil.record import Recording
 from hil.record.environment import product_version
@@ -160,18 +159,13 @@ def test_new_run_keeps_its_mirror_file_if_the_previous_run_closes_late(tmp_path)
 def test_the_recorder_updates_the_newest_row_fifty_times_a_second(tmp_path):
     path, shown = tmp_path / "a.mcap", tmp_path / "m"
     rows = random_rows(1500, seed=5)
-    rows["skipped"] = 0
-    rows["skipped"][100::100] = 2
     with Recording.start(path, configuration="", mirror=(shown, {"name": "x"})) as recording:
         reader = MirrorReader(shown)
         assert reader.about["name"] == "x"
         assert reader.read() is None, "no tick yet"
-        recording.event(0, "error", "first\n{}")
         numbers, begun = set(), time.monotonic()
         for k, row in enumerate(rows):
             recording.tick(row, (), ())
-            if k == 700:
-                recording.event(700, "warning", "y" * 5000)
             while time.monotonic() < begun + 1e-3 * k:
                 piece = reader.read()
                 if piece is not None:
@@ -181,15 +175,7 @@ def test_the_recorder_updates_the_newest_row_fifty_times_a_second(tmp_path):
         seconds = time.monotonic() - begun
         last = until(lambda: (p := reader.read()) and int(p.figures["ticks"]) == 1500 and p)
         assert last.row.tobytes() == rows[-1].tobytes()
-        assert int(last.figures["stale"]) == np.count_nonzero(rows["warnings"] & Warn.STALE)
-        assert int(last.figures["skipped"]) == int(rows["skipped"].sum())
-        assert int(last.figures["dropped"]) == 0
         until(lambda: int(newest(reader).figures["waiting"]) == 0)
-        until(lambda: len(newest(reader).events) == 2)
-        first, second = newest(reader).events
-        assert first == {"number": 1, "t_ns": 0, "level": "error", "text": "first\n{}"}
-        assert second["text"].startswith("yyy")
-        assert len(second["text"]) < 700
     assert recording.close().complete
     assert newest(reader).ended
     assert not shown.exists()

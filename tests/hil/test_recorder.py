@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import pickle
 import struct
@@ -20,7 +19,7 @@ from hil.record import recorder as module
 from hil.record.child import RecorderEnd
 from hil.record.encode import Encoder, Messages
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
-from hil.record.recorder import Control, Recorder, _recorded
+from hil.record.recorder import Control, Recorder
 from hil.record.recording import Live
 from hil.record.ring import DROPPED, Ring
 from hil.record.row import TICKS, Run, describe
@@ -105,30 +104,6 @@ def test_the_end_of_a_log_has_the_producers_summary_and_the_counts(tmp_path):
     assert read(bench.path)[2]["summary"] == {"ending": "PARKED", "duration_s": "0.0"} | {
         name: str(n) for name, n in counts.items()
     }
-
-
-@pytest.mark.parametrize("number", [errno.EDQUOT, errno.EIO])
-def test_only_a_full_disk_closes_the_log_with_the_ticks_that_fit(tmp_path, monkeypatch, number):
-    """A failing disk is not a full disk; without a message there is nothing to close."""
-
-    def refuse(*_):
-        raise OSError(number, "it says")
-
-    bench = Bench(tmp_path)
-    bench.tick(*range(40))
-    control = cast("Control", SimpleNamespace(ended=lambda _: True, summary={}))
-    with monkeypatch.context() as patched:
-        patched.setattr(McapFile, "add_chunk", refuse)
-        with pytest.raises(OSError, match="it says"):
-            _recorded(bench.recorder, control)
-    bench.drain(2)
-    monkeypatch.setattr(McapFile, "finish", refuse)
-    monkeypatch.setattr(McapFile, "finish_within", lambda file, *_: file.close())
-    if number == errno.EIO:
-        with pytest.raises(OSError, match="it says"):
-            _recorded(bench.recorder, control)
-    else:
-        assert _recorded(bench.recorder, control)["closed"] == "disk_full"
 
 
 # -- batches and chunks ----------------------------------------------------------------------------------------

@@ -77,7 +77,6 @@ ITEMS = (
 
 
 def test_frames_of_several_buses_keep_their_order_and_times():
-    """`test_row` compares their content with protobuf's."""
     found, ticks = encoded(encoder(can_channels=["front", "rear bus"]), batch(2, *ITEMS))
     assert [m.topic for m in found] == ["/tick", *["/can"] * 3, "/tick", *["/can"] * 2]
     assert ticks == [0] * 4 + [1] * 3
@@ -94,6 +93,7 @@ def test_frames_of_several_buses_keep_their_order_and_times():
             TICK + row,
             index,
         )
+        assert f.dlc == {12: 9, 64: 15}.get(len(data), len(data))
         assert m.log_time == EPOCH + t_ns == f.header.stamp.seconds * S + f.header.stamp.nanos
         assert (m.publish_time, m.sequence) == (EPOCH + T_NS + S * row, 7 + row)
 

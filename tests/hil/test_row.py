@@ -9,23 +9,20 @@ import pickle
 import subprocess
 import sys
 from enum import IntEnum, IntFlag
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.frame_array import FRAME
-from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE
 from drivers.tick_columns import RECORDED, ROW, Column
-from hil.record import Recording
-from hil.record.encode import CAN, TICK, Encoder
+from hil.record.encode import TICK, Encoder
 from hil.record.layout import RECORD_HEADER
 from hil.record.packer import pack
-from hil.record.ring import Batch, Ring
+from hil.record.ring import Batch
 from hil.record.row import TICKS, Table, columns_of, describe
 from hil.record.schema import message_class
-from tests.hil.samples import random_rows, random_ticks, record
+from tests.hil.samples import random_rows
 
 
 def column(name, kind: Any = int, elements: tuple[str, ...] = (), shape: tuple[int, ...] = ()) -> Column:
@@ -152,7 +149,6 @@ def test_rows_have_at_most_64_KiB_and_flags_at_most_63_bits():
 # -- the packer -------------------------------------------------------------------------------------------------
 
 EPOCH, S = 1_700_000_000_123_456_789, 1_000_000_000
-LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 def messages_of(encoder, batch, channel):
@@ -188,42 +184,6 @@ def row_message(kind, table, row):
         elif shown and not c.shape:
             setattr(message, c.name, shown[0])
     return message.SerializeToString(deterministic=True)
-
-
-def frame_message(kind, names, tick, index, t_ns, received, frame):
-    """Message of a frame, filled field by field."""
-    message, bus = kind(), frame.flags // BUS
-    message.header.stamp.seconds, message.header.stamp.nanos = divmod(EPOCH + t_ns, S)
-    message.id, message.data, message.dlc = frame.id, frame.data, LENGTHS.index(len(frame.data))
-    message.is_rtr, message.is_extended = frame.flags & REMOTE != 0, frame.flags & EXTENDED != 0
-    message.is_error, message.fdf = frame.flags & ERROR != 0, frame.flags & FD != 0
-    message.brs, message.esi = frame.flags & BRS != 0, frame.flags & ESI != 0
-    message.channel, message.bus = names[min(bus, len(names) - 1)], bus
-    message.direction, message.tick, message.index = 1 if received else 2, tick, index
-    return message.SerializeToString(deterministic=True)
-
-
-@pytest.mark.parametrize("names", [("can0",), ("front", "the rear bus " * 9)])
-def test_encoded_rows_and_frames_equal_the_recorded_ones(names):
-    ring = Ring.create(TICKS.dtype, 32)
-    ring.close_fd()
-    recording = Recording(ring, cast("Any", None), Path("a.mcap"), lockstep=True)
-    ticks = random_ticks(300)
-    encoder = Encoder(TICKS, epoch_ns=EPOCH, can_channels=names, scene=None)
-    row_kind, frame_kind = (message_class(encoder.channels[k][1]) for k in (TICK, CAN))
-    for first in range(0, 300, 12):
-        part = ticks[first : first + 12]
-        record(recording, part)
-        batch = ring.take(32)
-        assert messages_of(encoder, batch, TICK) == [row_message(row_kind, TICKS, t.row) for t in part]
-        expected = []
-        for t in part:
-            tick, now = int(t.row["tick"]), int(t.row["t_ns"])
-            all_of_it = [(r.t_ns, True, r.frame) for r in t.received] + [(now, False, f) for f in t.sent]
-            for index, (t_ns, received, frame) in enumerate(all_of_it):
-                expected.append(frame_message(frame_kind, names, tick, index, t_ns, received, frame))
-        assert messages_of(encoder, batch, CAN) == expected
-        ring.release(batch)
 
 
 class Kind(IntEnum):

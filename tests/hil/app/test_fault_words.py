@@ -84,25 +84,6 @@ def test_option_fault_adds_a_fault_to_those_of_the_configuration():
     assert len(c.plant.faults) == 1
 
 
-@pytest.mark.parametrize(
-    ("entry", "message"),
-    [
-        (
-            "{kind: encoder_jmp, leg: 0}",
-            "plant.faults[0].kind: unknown value, allowed: brake_slipping, brake_slow, ",
-        ),
-        ("{leg: 0}", "plant.faults[0].kind: missing, allowed: brake_slipping, "),
-        ("{kind: encoder_jump, leg: 0}", "plant.faults[0].by_m: missing, allowed: a number"),
-        ("{kind: encoder_jump, leg: 0, by: 1}", "plant.faults[0].by: missing unit: the key is by_m"),
-        ("{kind: frames_loss, probability: 2}", "plant.faults[0].probability: out of range"),
-    ],
-)
-def test_invalid_fault_entry_in_the_configuration_is_refused_with_its_file_position(entry, message):
-    with pytest.raises(ConfigurationError) as refused:
-        configured("virtual", entry)
-    assert message in str(refused.value)
-
-
 def test_sim_refuses_process_faults_and_plant_refuses_mode_faults():
     process = with_faults(load("virtual"), ["process_kill at=1"])
     process.require("plant")

@@ -42,11 +42,10 @@ class Output(click.Path):
 def complete_configuration(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
     """Complete the names of shipped configurations, and files."""
     del ctx, param
-    from importlib.resources import files
+    from hil.app.configuration.text_file import shipped
 
-    names = sorted(file.name.removesuffix(".yaml") for file in files("configs").iterdir())
-    there = [n for n in names if n.startswith(begun) and (files("configs") / f"{n}.yaml").is_file()]
-    return [*(CompletionItem(name) for name in there), CompletionItem(begun, type="file")]
+    there = [CompletionItem(name) for name in shipped() if name.startswith(begun)]
+    return [*there, CompletionItem(begun, type="file")]
 
 
 POSITIVE = FiniteRange(min=0, min_open=True)

@@ -32,7 +32,7 @@ from hil.operate.channel import OperatorChannel
 from hil.record.log import Log
 from hil.trajectory.sampled import sampled_trajectory
 from plant_fmu.stewart.build import build
-from tools.fuzz import container, mutate
+from tools.fuzz import container
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -109,7 +109,7 @@ def _log(stock: Stock, rng: Random, folder: Path) -> str:
 
 def _damaged(path: Path, source: bytes, rng: Random) -> Path:
     for _ in range(rng.randint(1, 3)):
-        source = rng.choice(mutate.TEXT)(source, rng)
+        source = rng.choice(container.TEXT)(source, rng)
     path.write_bytes(source)
     return path
 
@@ -156,13 +156,13 @@ def _controller(_stock: Stock, rng: Random, folder: Path) -> str:
 def _fmu(_stock: Stock, rng: Random, folder: Path) -> str:
     source, path = build("3.0" if rng.random() < 0.5 else "2.0"), folder / "damaged.fmu"
     if rng.random() < 0.5:
-        path.write_bytes(rng.choice(mutate.ANY)(source.read_bytes(), rng))
+        path.write_bytes(rng.choice(container.ANY)(source.read_bytes(), rng))
     else:  # a sound archive around a damaged description
         with zipfile.ZipFile(source) as archive, zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as out:
             for name in archive.namelist():
                 data = archive.read(name)
                 out.writestr(
-                    name, rng.choice(mutate.TEXT)(data, rng) if name == "modelDescription.xml" else data
+                    name, rng.choice(container.TEXT)(data, rng) if name == "modelDescription.xml" else data
                 )
     return _command("fmu", "show", str(path))
 
@@ -185,7 +185,7 @@ def _operator(_stock: Stock, rng: Random, folder: Path) -> str:
         for _ in range(50):
             line = rng.choice(_LINES).encode()
             for _ in range(rng.randint(0, 3)):
-                line = rng.choice(mutate.TEXT)(line, rng)
+                line = rng.choice(container.TEXT)(line, rng)
             with contextlib.suppress(OSError):
                 sender.sendto(line[:60_000], str(channel.path))
             heard = channel.take()

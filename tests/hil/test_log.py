@@ -87,17 +87,6 @@ def test_ticks_and_rows_are_restored_to_the_bit_from_any_writer(path, tmp_path, 
     assert log.configuration == CONFIGURATION
 
 
-def test_frames_are_sorted_by_time(path):
-    expected = []
-    for tick in TICKS:
-        expected += [(t_ns, False, frame) for t_ns, frame in tick.received]
-        expected += [(int(tick.row["t_ns"]), True, frame) for frame in tick.sent]
-    expected.sort(key=lambda item: item[0])
-    assert [(f.t_ns, f.sent, f.id, f.data, f.flags, f.bus) for f in Log(path).can_frames()] == [
-        (t_ns, sent, frame.id, frame.data, frame.flags % 256, frame.bus) for t_ns, sent, frame in expected
-    ]
-
-
 def test_reading_in_blocks_needs_memory_for_one_block_only(tmp_path):
     count = 10_000
     with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:

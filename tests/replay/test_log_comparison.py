@@ -179,12 +179,3 @@ def test_logs_that_cannot_be_compared_are_refused(made):
 def test_invalid_tolerances_are_refused(words):
     with pytest.raises(ConfigurationError, match="tolerance"):
         read_tolerances(words, RECORDED)
-
-
-def test_damaged_log_is_reported_in_one_line_with_exit_code_2(log, tmp_path):
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(log.read_bytes()[:-5000])
-    for words in ([str(cut), "--against", str(log)], [str(log), "--against", str(cut)]):
-        result = CliRunner().invoke(main, ["replay", *words])
-        assert (result.exit_code, len(result.stderr.splitlines())) == (2, 1)
-        assert f"{cut}: cut at " in result.stderr

@@ -35,7 +35,7 @@ class RecorderEnd:
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, held)
         try:
             self.process = start(
-                "hil.record",
+                "hil.record.recorder",
                 *map(str, (ring.fd, other.fileno(), os.getpid())),
                 environment={"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
                 stdin=subprocess.DEVNULL,

@@ -102,7 +102,7 @@ class LoggedFrame(NamedTuple):
 
 
 def logged(items: Rows) -> Iterator[LoggedFrame]:
-    """Yield CAN frames one by one from `items` (n,) of `hil.record.unpack.ITEM`."""
+    """Yield CAN frames one by one from `items` (n,) of `hil.record.layout.ITEM`."""
     frames = unpack_frames(items["frame"].tobytes())
     for (t_ns, can_id, kind, length, flags, data), tick in zip(frames, items["tick"].tolist(), strict=True):
         yield LoggedFrame(t_ns, tick, kind == SENT, flags // BUS, can_id, data[:length], flags % BUS)

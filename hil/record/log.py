@@ -13,10 +13,10 @@ import numpy as np
 from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
 from hil.record.entries import Command, Event, LoggedFrame, Tick, assemble, logged
+from hil.record.layout import ITEM
 from hil.record.log_file import LogFile
 from hil.record.schema import CAN_TOPIC, SUMMARY
 from hil.record.selection import together
-from hil.record.unpack import ITEM
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -19,7 +19,7 @@ from drivers.errors import LogError
 from drivers.files import open_regular
 from drivers.tick_columns import Column
 from hil.record.entries import Command, Event
-from hil.record.layout import RECORD_HEADER, frame_table
+from hil.record.layout import ITEM, RECORD_HEADER, frame_table, unpack_frames, unpack_rows, words_of
 from hil.record.mcap_file import MAGIC
 from hil.record.mcap_read import Allowance, DamageError, MessageTable, Record, messages_in, record_at, records
 from hil.record.row import OLD, REFUSED, RowCodec, Run, Table, completed, why
@@ -35,7 +35,6 @@ from hil.record.schema import (
     operator_schema,
 )
 from hil.record.selection import no_column, together
-from hil.record.unpack import ITEM, unpack_frames, unpack_rows, words_of
 from hil.signals import NUMBERS, Operator
 
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})

@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from drivers.arrays import Ints
 from drivers.errors import LogError
 from drivers.files import open_regular
-from hil.record.layout import RECORD_HEADER
+from hil.record.layout import RECORD_HEADER, scan, words_of
 from hil.record.mcap_file import MAGIC
-from hil.record.unpack import scan, words_of
 
 HEAD = struct.Struct("<BQ")
 _KINDS: dict[int, Any] = {

@@ -1,7 +1,7 @@
 """Recorder process: writes the ticks in the ring to the log until its producer closes or dies.
 
-Signals do not end it. Command: `python -m hil.record RING_FD LINK_FD PRODUCER_PID`. It reads the set-up, then
-the summary, from the link, and answers there (`hil.record.child` is the other end).
+Signals do not end it. Command: `python -m hil.record.recorder RING_FD LINK_FD PRODUCER_PID`. It reads the
+set-up, then the summary, from the link, and answers there (`hil.record.child` is the other end).
 """
 
 from __future__ import annotations
@@ -299,3 +299,7 @@ def record(
         return 0
     say({"error": trouble})
     return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -16,15 +16,14 @@ from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, 
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record.entries import Command, assemble
-from hil.record.layout import frame_table
+from hil.record.layout import ITEM as PLACED
+from hil.record.layout import frame_table, scan, unpack_frames, unpack_rows
 from hil.record.log import Log, Tick
 from hil.record.mcap_file import record_bytes
 from hil.record.mcap_read import Allowance, Record, messages_in
 from hil.record.ring import RECEIVED, SENT
 from hil.record.row import TICKS, RowCodec
 from hil.record.schema import Schema, message_class
-from hil.record.unpack import ITEM as PLACED
-from hil.record.unpack import scan, unpack_frames, unpack_rows
 from hil.signals import Operator, Order, SetPoint
 from tests.hil.rewrite import rewrite_log
 from tests.hil.samples import assert_same, packed_rows, random_rows, random_ticks, record

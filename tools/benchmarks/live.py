@@ -32,7 +32,7 @@ def live_run(c: Configuration, seconds: float, folder: Path) -> dict[str, Any]:
     """
     made = Path(tempfile.mkdtemp(dir=folder))
     told = made / "run.json"
-    words = ("--plant", "--arm", "--duration", f"{seconds:g}", "--log", made / "run.mcap", "--json", told)
+    words = f"--plant --arm --duration {seconds:g} --log {made}/run.mcap --json {told}".split()
     command = [sys.executable, "-m", "hil.cli", "run", c.source, *words]
     with tempfile.TemporaryFile() as errors:
         with suppress(subprocess.TimeoutExpired):

@@ -10,7 +10,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.files import printable
 from hil.app.recorded_files import with_attachments
 from hil.app.terminal import one_line, visible
-from tools.fuzz import case
+from tools.fuzz import __main__ as case
 from tools.fuzz.targets import TARGETS, stock
 
 VIRTUAL = load("virtual").text

@@ -169,17 +169,6 @@ def test_tick_gets_the_plant_row_of_its_own_sync_or_none(ticks, late, times, syn
     assert plant_rows_of(tick_rows(ticks, late), plant_rows(times, syncs), MS).tolist() == places
 
 
-@pytest.mark.parametrize(
-    ("rate_Hz", "found"),
-    [("1000.0", [0.0, np.nan]), ("500.0", [0.0, 1.0]), ("0", [0.0, 1.0]), ("fast", [0.0, 1.0])],
-)
-def test_largest_time_difference_is_half_a_period_of_the_logged_rate(tmp_path, rate_Hz, found):
-    """Without a rate each tick gets the nearest row."""
-    ticks = written(tmp_path / "a.mcap", tick_rows([0, 2 * MS]), metadata={"rate_Hz": rate_Hz})
-    written(tmp_path / "a-plant.mcap", plant_rows([500_000, 2_500_001], [1, 2]), table=PLANT)
-    np.testing.assert_array_equal(Log(ticks).frame("plant.p.z")["plant.p.z"], found)
-
-
 def test_true_state_is_in_the_table_of_the_ticks(tmp_path):
     written(tmp_path / "a.mcap", tick_rows([0, MS, 2 * MS]), metadata={"rate_Hz": 1000.0})
     written(tmp_path / "a-plant.mcap", plant_rows([50_000, 2_050_000], [1, 2]), table=PLANT)

@@ -7,18 +7,15 @@ import pickle
 import struct
 import subprocess
 from multiprocessing.connection import Pipe
-from types import SimpleNamespace
 from typing import Any, cast
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from hil.record import Recording
-from hil.record import recorder as module
 from hil.record.child import RecorderEnd
-from hil.record.encode import Encoder, Messages
-from hil.record.mcap_file import CHUNK_SIZE, McapFile
+from hil.record.encode import Encoder
+from hil.record.mcap_file import McapFile
 from hil.record.recorder import Control, Recorder
 from hil.record.recording import Live
 from hil.record.ring import DROPPED, Ring
@@ -106,133 +103,7 @@ def test_the_end_of_a_log_has_the_producers_summary_and_the_counts(tmp_path):
     }
 
 
-# -- batches and chunks ----------------------------------------------------------------------------------------
-
-
-def test_recorder_writes_a_batch_before_it_releases_the_room_in_the_ring(tmp_path):
-    bench = Bench(tmp_path)
-    recorder: Any = bench.recorder
-    did: list[tuple[str, int]] = []
-    ring, write = recorder._ring, recorder._write
-
-    def written(messages):
-        did.append(("write", len(messages.channel)))
-        write(messages)
-
-    def released(batch):
-        did.append(("release", len(batch.rows)))
-        ring.release(batch)
-
-    recorder._write = written
-    recorder._publisher = SimpleNamespace(drained=lambda batch: did.append(("show", len(batch.rows))))
-    recorder.socket = SimpleNamespace(publish=lambda messages: did.append(("send", len(messages.channel))))
-    recorder._ring = SimpleNamespace(take=ring.take, release=released)
-    bench.tick(0, 1, 2)
-    bench.producer.event(0, "info", "behind them")
-    assert [recorder._drain(2) for _ in range(3)] == [True, True, False]
-    first, second = ([("write", 2), ("show", n), ("release", n), ("send", 2)] for n in (2, 1))
-    assert did == [*first, *second]
-    recorder.file.discard()
-
-
-def chunks_of(lengths: list[list[int]]) -> list[list[tuple[int, int]]]:
-    """Write messages of these lengths, tick by tick: tick and number of the messages in each chunk.
-
-    The arguments for each message are compared with the message on the way.
-    """
-    found: list[list[tuple[int, int]]] = []
-    ticks = [(tick, size) for tick, sizes in enumerate(lengths) for size in sizes]
-    data = [b"%08d" % number + bytes(size - 8) for number, (_, size) in enumerate(ticks)]
-
-    def add_chunk(written, channel, log_time, offset):
-        numbers = [int(bytes(written[at : at + 8])) for at in offset.tolist()]
-        assert written == b"".join(data[n] for n in numbers)
-        assert channel.tolist() == [n % 7 for n in numbers]
-        assert log_time.tolist() == [1000 + n for n in numbers]
-        found.append([(ticks[n][0], n) for n in numbers])
-
-    recorder: Any = Recorder.__new__(Recorder)
-    recorder.file = SimpleNamespace(add_chunk=add_chunk)
-    count = np.arange(len(data))
-    start, whole = np.cumsum([0, *map(len, data)]), np.frombuffer(b"".join(data), np.uint8)
-    recorder._write(Messages(whole, start, count % 7, 1000 + count, np.array([tick for tick, _ in ticks])))
-    assert [n for chunk in found for _, n in chunk] == count.tolist()
-    return found
-
-
-LARGE = CHUNK_SIZE // 8
-
-
-@pytest.mark.parametrize(
-    "lengths",
-    [
-        [[100, 50, 50]] * 4,
-        [[LARGE]] * 8,
-        [[LARGE, 8, 8]] * 8,
-        [[LARGE, 40, 40, 40]] * 40,
-        [[40, LARGE]] * 100,
-        [[LARGE // 3] * 3] * 33,
-        [[16]] * 3 + [[LARGE] * 5] * 3 + [[16]],
-    ],
-    ids=["few", "one", "a little more than one", "row and frames", "many", "equal", "unlike"],
-)
-def test_log_chunks_end_between_ticks_and_are_as_few_as_possible(lengths):
-    found = chunks_of(lengths)
-    sizes = [sum(sum(lengths[tick]) for tick in {tick for tick, _ in chunk}) for chunk in found]
-    assert sum(sizes) == sum(map(sum, lengths)), "no tick is in two chunks"
-    assert max(sizes) <= CHUNK_SIZE + max(map(sum, lengths))
-    assert len(found) <= np.ceil(sum(sizes) / CHUNK_SIZE)
-
-
-def test_a_tick_larger_than_a_chunk_gets_a_chunk_of_its_own():
-    large = [CHUNK_SIZE, CHUNK_SIZE, 40]
-    (chunk,) = [each for each in chunks_of([[40, 40], large, [40], [40]]) if 1 in {tick for tick, _ in each}]
-    assert sum(tick == 1 for tick, _ in chunk) == 3
-    assert chunks_of([large]) == [[(0, 0), (0, 1), (0, 2)]]
-    assert chunks_of([[40], [40], large]) == [[(0, 0), (1, 1)], [(2, 2), (2, 3), (2, 4)]]
-
-
-# -- its pace and its producer ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("lockstep", [False, True])
-def test_real_time_writes_a_chunk_every_0_1_s_and_flushes_every_second(monkeypatch, lockstep):
-    """0.1 s is half of the possible loss. A simulation writes whole batches and never flushes."""
-    now, filled = [0.0], [7.13, 9.5]
-    did: dict[str, list[float]] = {"show": [], "drain": [], "sync": []}
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
-    recorder: Any = Recorder.__new__(Recorder)
-    recorder._live, recorder._lockstep, recorder.batch = None, lockstep, 16
-    recorder._publisher = SimpleNamespace(publish=lambda _: did["show"].append(now[0]), close=lambda: None)
-    recorder.file = SimpleNamespace(sync=lambda: did["sync"].append(now[0]), position=0)
-    left = [True, True, False]
-
-    def ready(limit: int) -> bool:
-        assert limit == (16 if lockstep else 64), "a batch, or a quarter of the ring"
-        return bool(filled and now[0] > filled[0] and filled.pop(0))
-
-    def drain(limit: int) -> bool:
-        assert limit == (16 if lockstep else 2048)
-        did["drain"].append(now[0])
-        return left.pop(0) if now[0] > 20.0 else False
-
-    def ended(timeout_s: float) -> bool:
-        now[0] += max(timeout_s, 1e-6)  # what it looks for is there at once, or never
-        return now[0] > 20.0
-
-    recorder._ring, recorder._drain = SimpleNamespace(ready=ready, capacity=256), drain
-    recorder.run(SimpleNamespace(ended=ended))
-    assert left == [], "the ring must be empty at the end"
-    if lockstep:
-        np.testing.assert_allclose(did["drain"][:2], [7.13, 9.5], atol=0.005)
-        assert (len(did["drain"]), did["sync"]) == (2 + 3, [])
-        return
-    np.testing.assert_allclose(np.diff(did["show"]), 0.02, atol=1e-5)
-    at = np.array(did["drain"][:-3])
-    assert np.diff([0.0, *at]).max() == pytest.approx(0.1, abs=1e-3)
-    assert any(abs(at - 7.14) < 0.011), "at once where a quarter of the ring is filled"
-    np.testing.assert_allclose(np.diff([0.0, *did["sync"]]), 1.0, atol=0.11)
-
+# -- its producer ----------------------------------------------------------------------------------------------
 
 LONG_S = 10.0
 """Longer than a killed process needs to end."""

@@ -111,49 +111,6 @@ def test_an_event_without_room_is_left_out_completely():
     assert recording.dropped == 0
 
 
-ONE = {
-    "received": Received(0, Frame(1, b"", 0)),
-    "sent": Frame(1, b"", 0),
-    "operator": Operator.STOP,
-    "setpoints": SetPoint(*(0.0,) * 6),
-    "orders": Order(Operator.HOLD),
-}
-
-
-@pytest.mark.parametrize("kind", ONE)
-def test_a_tick_with_too_many_items_is_dropped_completely(kind):
-    recording = recording_of()
-    for number, count in enumerate((250, 7, 6)):
-        recording.tick(row_of(number), **{"received": (), "sent": (), kind: [ONE[kind]] * count})
-    assert (recording.ticks, recording.dropped) == (2, 1)
-    batch = recording._ring.take(16)
-    assert (batch.rows["tick"].tolist(), len(batch.items)) == ([0], 250)
-    recording._ring.release(batch)
-    batch = recording._ring.take(16)
-    assert (batch.rows["tick"].tolist(), len(batch.items)) == ([2], 6)
-
-
-@pytest.mark.parametrize("full", ["rows", "items"])
-@pytest.mark.parametrize("what", ["tick", "event"])
-def test_in_lockstep_a_tick_and_an_event_wait_for_room(monkeypatch, full, what):
-    end = End(drains=True)
-    naps: list[float] = []
-    recording = recording_of(lockstep=True, end=end)
-    monkeypatch.setattr(time, "sleep", naps.append)
-    for number in range(16 if full == "rows" else 1):
-        recording.tick(row_of(number), (), (), [1] * (256 if full == "items" else 0))
-    assert naps == []
-    if what == "tick":
-        recording.tick(row_of(99), (), (), [1] * 256)
-    else:
-        recording.event(5, "warning", "late")
-    assert 0 < max(naps) <= 0.001
-    assert len(naps) == 3
-    assert recording.dropped == 0
-    batch = end.ring.take(16)
-    assert (batch.rows["tick"].tolist(), len(batch.items)) == (([99], 256) if what == "tick" else ([], 1))
-
-
 def test_in_lockstep_a_tick_larger_than_the_ring_is_refused():
     recording = recording_of(lockstep=True, end=End())
     recording.tick(row_of(0), (), (), [1] * 256)

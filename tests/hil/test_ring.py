@@ -103,18 +103,6 @@ def test_ring_returns_events_after_the_tick_that_precedes_them(ring, writer, row
     assert batch.tick.tolist() == [0, 0]
 
 
-def test_batch_limited_to_some_rows_leaves_the_events_of_later_rows_in_the_ring(ring, writer):
-    for _ in range(3):
-        writer.row(1)
-    writer.events(77)
-    batch = ring.take(2)
-    assert batch.tick.tolist() == [0, 1]
-    ring.release(batch)
-    batch = ring.take(2)
-    assert batch.items["t_ns"].tolist() == [2, 77]
-    assert batch.tick.tolist() == [0, 1]
-
-
 def test_batch_of_the_ring_ends_when_items_fill_a_quarter_of_the_room(ring, writer):
     for items in (1100, 1, 1022, 1, 1):
         writer.row(items)

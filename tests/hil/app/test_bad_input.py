@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from mcap.reader import make_reader
 
 from hil.cli import main
 from plant_fmu.stewart.build import build
@@ -56,14 +55,6 @@ def bench(tmp_path):
         return path
 
     return write
-
-
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    path = tmp_path_factory.mktemp("log") / "run.mcap"
-    result = CliRunner().invoke(main, ["sim", "--duration", "1.0", "--log", str(path)])
-    assert result.exit_code == 0, result.output
-    return path
 
 
 # -- any file ------------------------------------------------------------------------------------------------
@@ -183,37 +174,3 @@ def test_sim_accepts_a_plant_that_starts_1_mm_from_the_configured_pose(robot, tm
     config = robot(("[0, 0, 1]", "[0, 0, 1.001]"))
     result = CliRunner().invoke(main, ["sim", str(config), "--duration", "0.2"])
     assert result.exit_code == 0, result.output
-
-
-# -- logs ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
-def test_truncated_log_is_refused_and_the_message_shows_how_to_salvage_it(refused, log, tmp_path, share):
-    data = log.read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(data[: int(share * len(data))])
-    said = refused("replay", "cut.mcap")
-    assert f"cut at {int(share * len(data))} bytes" in said
-    assert "hil replay --salvage" in said
-
-
-def test_salvage_writes_a_truncated_log_to_a_new_file_only(refused, log, tmp_path):
-    data = log.read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
-    (tmp_path / "there.mcap").write_text("precious")
-    assert "there.mcap" in refused("replay", "cut.mcap", "--salvage", "there.mcap")
-    result = CliRunner().invoke(main, ["replay", "cut.mcap", "--salvage", "whole.mcap"])
-    assert result.exit_code == 0, result.output
-    assert (tmp_path / "cut.mcap").stat().st_size == len(data) // 2
-
-
-def test_replay_of_a_log_with_damaged_ticks_is_refused_with_the_byte_offset(refused, log, tmp_path):
-    data = bytearray(log.read_bytes())
-    with log.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    chunk = summary.chunk_indexes[len(summary.chunk_indexes) // 2]
-    at = chunk.chunk_start_offset + chunk.chunk_length // 2
-    data[at : at + 64] = bytes(64)
-    (tmp_path / "damaged.mcap").write_bytes(data)
-    assert f"damaged.mcap: damaged at byte {chunk.chunk_start_offset}" in refused("replay", "damaged.mcap")

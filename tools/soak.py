@@ -100,7 +100,7 @@ def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
                 rows, frames, ends = ticks.recorded(new)
                 if any(given):
                     operator, orders, setpoints = given
-                    recording.tick_of_items(rows[0], frames, NO_FRAMES, operator, setpoints, orders)
+                    recording.tick(rows[0], frames, NO_FRAMES, operator, setpoints, orders)
                 else:
                     recording.ticks_of_items(rows, frames, ends)
                 if any(rows["tick"][0] <= look <= rows["tick"][-1] for look in looks):

@@ -233,7 +233,7 @@ def _serve(
     end = None if duration_s is None else now + round(duration_s * 1e9)
     next_look = now
     later = NO_FRAMES
-    rows = PlantRows(None if recording is None else recording.tick_of_items, nodes)
+    rows = PlantRows(None if recording is None else recording.tick, nodes)
     moved_ns = 0
     try:
         while not stop.reason:

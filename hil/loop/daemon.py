@@ -168,7 +168,7 @@ def _run(course: Course, shell: Shell) -> Ending:
         compute_ns = time.perf_counter_ns() - begun
         sends_failed = bus.send(out.frames)
         sent = sent_at(t_ns, opening, out.frames)
-        recording.tick_of_items(out.row, frames, sent, inp.operator, inp.setpoints, inp.orders)
+        recording.tick(out.row, frames, sent, inp.operator, inp.setpoints, inp.orders)
         console.answer(recording, t_ns)
         ending = course.ending(tick)
         if ending is not None:

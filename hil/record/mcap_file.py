@@ -198,7 +198,7 @@ class McapFile:
         if the removed chunks do not make enough room.
         """
         while self._places:
-            self._take_back(*self._places.pop())
+            self._take_back(self._places.pop())
             try:
                 self.add_metadata(name, metadata())
                 self.finish()
@@ -208,14 +208,8 @@ class McapFile:
             else:
                 return
 
-    def _take_back(
-        self,
-        position: int,
-        crc: int,
-        span: tuple[int, int] | None,
-        counts: dict[int, int],
-        kinds: dict[type, int],
-    ) -> None:
+    def _take_back(self, place: _Place) -> None:
+        position, crc, span, counts, kinds = place
         os.ftruncate(self._fd, position)
         os.lseek(self._fd, position, os.SEEK_SET)
         self.position, self._crc, self._span, self._counts = position, crc, span, counts

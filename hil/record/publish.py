@@ -155,7 +155,7 @@ class LiveView:
         parts.append(f"stale {self._stale}, skipped {self._skipped}")
         return "  ".join(parts)
 
-    def end(self) -> None:
+    def close(self) -> None:
         """Clear the status line on a terminal."""
         if self._terminal:
             self._draw("")

@@ -102,32 +102,27 @@ class Recorder:
 
     def run(self, control: Control) -> None:
         """Move ticks from the ring to the log until the producer closes or dies; end the live outputs."""
-        try:
-            self._drain_while(control)
-        finally:
-            if self._live is not None:
-                self._live.end()
-            if self._publisher is not None:
-                self._publisher.close()
-
-    def _drain_while(self, control: Control) -> None:
         flushed = synced = due = time.monotonic()
-        while not control.ended(_LOCKSTEP_POLL_S if self._lockstep else max(0.0, due - time.monotonic())):
-            now = time.monotonic()
-            due = max(due + _POLL_S, now)
-            if self._publisher is not None:
-                self._publisher.publish(self.file.position)
-            if self._lockstep:
-                while self._ring.ready(self.batch):
-                    self._drain(self.batch)
-            elif now - flushed >= FLUSH_S - _POLL_S / 2 or self._ring.ready(self._ring.capacity // 4):
-                flushed = now
-                self._drain(_MOST_TICKS)
-                if now - synced >= _SYNC_S:
-                    synced = now
-                    self.file.sync()
-        while self._drain(self.batch if self._lockstep else _MOST_TICKS):
-            pass
+        with contextlib.ExitStack() as live:
+            for output in (self._publisher, self._live):
+                if output is not None:
+                    live.callback(output.close)
+            while not control.ended(_LOCKSTEP_POLL_S if self._lockstep else max(0.0, due - time.monotonic())):
+                now = time.monotonic()
+                due = max(due + _POLL_S, now)
+                if self._publisher is not None:
+                    self._publisher.publish(self.file.position)
+                if self._lockstep:
+                    while self._ring.ready(self.batch):
+                        self._drain(self.batch)
+                elif now - flushed >= FLUSH_S - _POLL_S / 2 or self._ring.ready(self._ring.capacity // 4):
+                    flushed = now
+                    self._drain(_MOST_TICKS)
+                    if now - synced >= _SYNC_S:
+                        synced = now
+                        self.file.sync()
+            while self._drain(self.batch if self._lockstep else _MOST_TICKS):
+                pass
 
     def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
         """Write the summary, close the log and return the final reply; `summary` None: the producer died."""

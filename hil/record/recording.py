@@ -94,7 +94,7 @@ class LogSummary(NamedTuple):
     """True if the recorder itself could not write any more: the disk is full, or fails."""
 
 
-class Recording:
+class Recording(contextlib.AbstractContextManager["Recording"]):
     """A log being written by a recorder process.
 
     State: counters of the ring's write side, the final reply of the recorder.
@@ -189,30 +189,21 @@ class Recording:
     def tick(
         self,
         row: Rows | np.void,
-        received: Sequence[Received],
-        sent: Sequence[Frame],
+        received: Rows | Sequence[Received],
+        sent: Rows | Sequence[Frame],
         operator: Sequence[int] = (),
         setpoints: Sequence[SetPoint] = (),
         orders: Sequence[Order] = (),
     ) -> None:
         """Record one tick: row, frames consumed and sent in order, commands, set-points, motion commands.
 
-        In lockstep, raises LogError if one tick has more frames than the ring, RecorderEndedError if the
-        recorder has ended.
+        Frames as arrays (n,) of FRAME hold kind, time and bus. In lockstep, raises LogError if one tick has
+        more frames than the ring, RecorderEndedError if the recorder has ended.
         """
-        outgoing = sent_at(int(row["t_ns"]), sent_array(sent))
-        self.tick_of_items(row, received_array(received), outgoing, operator, setpoints, orders)
-
-    def tick_of_items(
-        self,
-        row: Rows | np.void,
-        received: Rows,
-        sent: Rows,
-        operator: Sequence[int] = (),
-        setpoints: Sequence[SetPoint] = (),
-        orders: Sequence[Order] = (),
-    ) -> None:
-        """Record one tick like `tick`, with frames as arrays (n,) of FRAME, which hold kind, time and bus."""
+        if not isinstance(received, np.ndarray):
+            received = received_array(received)
+        if not isinstance(sent, np.ndarray):
+            sent = sent_at(int(row["t_ns"]), sent_array(sent))
         data = received.tobytes() + sent.tobytes()
         if operator or setpoints or orders:
             now = int(row["t_ns"])
@@ -323,9 +314,6 @@ class Recording:
                 raise LogError(f"one tick has {count} frames, but the ring holds {ring.item_capacity}")
             time.sleep(0.0002)
         return True
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *error: object) -> None:
         self.close()

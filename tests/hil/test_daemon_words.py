@@ -60,7 +60,7 @@ class World:
         )  # fmt: skip
         self.recording: Any = SimpleNamespace(
             dropped=0, trouble="the recorder is gone", alive=True,
-            tick_of_items=lambda *what: self.rows.append(what), event=lambda *what: self.events.append(what),
+            tick=lambda *what: self.rows.append(what), event=lambda *what: self.events.append(what),
         )  # fmt: skip
         self.ending: Any = SimpleNamespace(name="the end")
 

@@ -110,5 +110,5 @@ def test_end_of_a_run_clears_the_status_line_on_a_terminal_only(terminal):
     view = LiveView(out, None)
     view.show(rows(1))
     line = out.getvalue()
-    view.end()
+    view.close()
     assert out.getvalue() == line + ("\r\x1b[K" if terminal else "")

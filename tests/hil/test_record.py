@@ -156,7 +156,7 @@ def test_ticks_recorded_in_blocks_or_singly_give_the_same_log(tmp_path, frames):
             recording.ticks_of_items(np.array(rows[first : first + 64]), np.tile(burst, 64), ends)
     with Recording.start(logs[1], configuration="", lockstep=True, ring_ticks=256) as recording:
         for row in rows:
-            recording.tick_of_items(row, burst, burst[:0])
+            recording.tick(row, burst, burst[:0])
     together, alone = ([(t.row.tobytes(), t.received) for t in Log.open(log).ticks()] for log in logs)
     assert len(together) == len(rows)
     assert together == alone

@@ -81,7 +81,7 @@ def test_a_tick_enters_the_ring_in_order_also_after_wrap_round():
         now = 1000 * number
         one.tick(row_of(number), received, sent, [1, 2], [pose], orders)
         items = received_array(received), sent_at(now, sent_array(sent))
-        other.tick_of_items(row_of(number), *items, [1, 2], [pose], orders)
+        other.tick(row_of(number), *items, [1, 2], [pose], orders)
         for recording in (one, other):
             ring = recording._ring
             assert ring.counters[WRITTEN] == recording.ticks == number + 1

@@ -84,7 +84,7 @@ def daemon(
     """Run the daemon on the ideal configuration; return its ending and its wire. `tick` receives each row."""
     nodes, plant = build_nodes(IDEAL, FaultPlan(faults))
     wire = kind(nodes)
-    recording: Any = SimpleNamespace(alive=True, dropped=5, tick_of_items=tick, event=lambda *_: None)
+    recording: Any = SimpleNamespace(alive=True, dropped=5, tick=tick, event=lambda *_: None)
     panel, window_ns = shell.pop("panel", OperatorPanel()), shell.pop("window_ns", 0)
     try:
         return run(course(new_cycle(IDEAL)), Shell(wire, wire, recording, panel, window_ns, **shell)), wire

@@ -42,15 +42,14 @@ def read_controller(path: Path) -> LinearController:
     poles, vectors = np.linalg.eig(np.array(controller.A, float) if controller.A else np.zeros((1, 1)))
     radius = float(np.abs(poles).max())
     own = vectors[:, np.abs(poles - 1.0) < TOGETHER]
-    if np.linalg.matrix_rank(own, tol=APART) < own.shape[1]:
+    twice = np.linalg.matrix_rank(own, tol=APART) < own.shape[1]
+    unstable = radius > 1.0 + ROUNDING and controller.design.get("unstable_controller") is not True
+    if twice or unstable:
         message = (
             "the sampled controller integrates twice in series, so that its state may grow without bound, "
             f"allowed: poles within {TOGETHER:g} of 1 only in parallel; design with another weight"
-        )
-        raise ConfigurationError(Problem(document.value_position(("A",)), ("A",), message).line(str(path)))
-    if radius > 1.0 + ROUNDING and controller.design.get("unstable_controller") is not True:
-        message = (
-            f"the sampled controller is unstable by itself, allowed: poles up to 1 in magnitude, given: "
+            if twice
+            else "the sampled controller is unstable by itself, allowed: poles up to 1 in magnitude, given: "
             f"{radius:.6g}; design with softer weights, or set design.unstable_controller: true"
         )
         raise ConfigurationError(Problem(document.value_position(("A",)), ("A",), message).line(str(path)))

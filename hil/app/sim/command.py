@@ -234,7 +234,7 @@ def _run_to_end(
     def take(ticks: Ticks, new: slice, given: Given) -> None:
         rows, frames, ends = ticks.recorded(new)
         if any(given):
-            recording.tick_of_items(rows[0], frames, NO_FRAMES, given.operator, given.setpoints, given.orders)
+            recording.tick(rows[0], frames, NO_FRAMES, given.operator, given.setpoints, given.orders)
         else:
             recording.ticks_of_items(rows, frames, ends)
         if truth is not None:

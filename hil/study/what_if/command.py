@@ -134,7 +134,7 @@ def _answer(
         entry = block.entries[0]
         given = entry.operator, entry.setpoints, entry.orders
         if any(given):
-            recording.tick_of_items(rows[0], frames, NO_FRAMES, *given)
+            recording.tick(rows[0], frames, NO_FRAMES, *given)
         else:
             recording.ticks_of_items(rows, frames, ends)
 

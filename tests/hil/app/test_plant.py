@@ -107,7 +107,7 @@ class Kept:
         self.events: list[tuple[str, str]] = []
         self.closed: dict[str, Any] = {}
 
-    def tick_of_items(self, *_: Any) -> None:
+    def tick(self, *_: Any) -> None:
         """Discard the row."""
 
     def event(self, _t_ns: int, level: str, text: str) -> None:

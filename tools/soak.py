@@ -26,8 +26,7 @@ from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.tick_row import Given, Ticks
 from hil.record.log import Log
-from tools.benchmarks.benchmark import patient, resident_MB
-from tools.benchmarks.figures import Figure, Mark, lines
+from tools.benchmarks.benchmark import Figure, Mark, lines, patient, resident_MB
 from tools.benchmarks.tick import steps
 
 LEAD_S = 2.0

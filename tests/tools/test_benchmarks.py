@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from tools.benchmarks.__main__ import PARTS, main
-from tools.benchmarks.figures import Figure, Mark
+from tools.benchmarks.benchmark import Figure, Mark
 
 NAN = float("nan")
 

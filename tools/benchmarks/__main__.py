@@ -16,11 +16,9 @@ from drivers.errors import HilError
 from hil.app.output import check_json_path, write_json
 from hil.loop.clock import fifo_allowed
 from hil.record import environment
-from tools.benchmarks.benchmark import Benchmark
-from tools.benchmarks.figures import EARLY, FAILED, Figure, lines
-from tools.benchmarks.fmu import fmu
+from tools.benchmarks.benchmark import EARLY, FAILED, Benchmark, Figure, lines
 from tools.benchmarks.live import realtime, two_buses
-from tools.benchmarks.lockstep import recorder, replaying, simulation
+from tools.benchmarks.lockstep import fmu, recorder, replaying, simulation
 from tools.benchmarks.tick import tick
 
 PARTS: dict[str, tuple[Callable[[Benchmark], list[Figure]], str]] = {

@@ -15,8 +15,7 @@ from drivers.errors import RunError
 from drivers.signals import Mode
 from hil.app.configuration.configuration import Configuration, load
 from hil.record.log import Log
-from tools.benchmarks.benchmark import Benchmark, patient
-from tools.benchmarks.figures import EARLY, Figure, Mark, spread
+from tools.benchmarks.benchmark import EARLY, Benchmark, Figure, Mark, patient, spread
 from tools.benchmarks.tick import COMPUTE
 
 TWO_BUSES_S = 20.0

@@ -22,8 +22,7 @@ from hil.loop.reference import fill_reference
 from hil.loop.replay import recorded_input
 from hil.record.log import Tick
 from hil.study.compare.laws import chosen
-from tools.benchmarks.benchmark import Benchmark
-from tools.benchmarks.figures import Figure, Mark, spread
+from tools.benchmarks.benchmark import Benchmark, Figure, Mark, spread
 
 COMPUTE = Mark(40.0)
 """Limit of a tick's compute time, us, from received frames to frames to send and the row."""

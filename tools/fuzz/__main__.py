@@ -18,7 +18,7 @@ from typing import NamedTuple
 import click
 
 from drivers.errors import HilError
-from tools.fuzz.targets import TARGETS, Stock, stock
+from tools.fuzz.targets import TARGETS, stock
 
 LONGEST_S = 5.0
 """Limit of a case's processor time: other processes may use the machine."""
@@ -43,19 +43,19 @@ class Result(NamedTuple):
     """Growth of the largest resident size of this process, MB."""
 
 
-def run(seed: int, stock: Stock, only: str | None = None) -> Result:
-    """Run the fuzz case of a seed in a new folder, which stays if the case shows a problem."""
+def run(seed: int, sound: Path, only: str | None = None) -> Result:
+    """Run the fuzz case of a seed in a new folder below `sound`, which stays if the case shows a problem."""
     rng = Random(seed)  # noqa: S311 - no secret
     drawn = rng.choices(list(TARGETS), [weight for _, weight in TARGETS.values()])[0]
     target = only or drawn
-    folder = stock.folder / str(seed)
+    folder = sound / str(seed)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     before, begun, problem, detail = peak_MB(), time.process_time(), "", ""
     with warnings.catch_warnings():
         try:
             warnings.simplefilter("error", RuntimeWarning)  # who reads a command's lines would see it
-            said = TARGETS[target][0](stock, rng, folder)
+            said = TARGETS[target][0](rng, folder)
         except HilError:
             said = ""  # what the command line shows of it is looked at where it is run
         except Exception as error:  # noqa: BLE001 - that is what is looked for

@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from random import Random
-from typing import NamedTuple
 
 from click.testing import CliRunner
 
@@ -37,20 +36,11 @@ from tools.fuzz import container
 ROOT = Path(__file__).resolve().parents[2]
 
 
-class Stock(NamedTuple):
-    """Valid inputs that the fuzzer damages; made once."""
-
-    log: bytes
-    plant_log: bytes
-    folder: Path
-
-
-def stock(folder: Path, duration_s: float = 0.12) -> Stock:
-    """Make the valid inputs: the logs of controller and plant of a short run of `virtual`."""
-    path = folder / "sound.mcap"
-    if not path.exists():
-        sim("virtual", log=path, duration_s=duration_s, plant_log=True)
-    return Stock(path.read_bytes(), path.with_name("sound-plant.mcap").read_bytes(), folder)
+def stock(folder: Path, duration_s: float = 0.12) -> Path:
+    """Make the valid logs in a folder, of controller and plant of a short run of `virtual`; return it."""
+    if not (folder / "sound.mcap").exists():
+        sim("virtual", log=folder / "sound.mcap", duration_s=duration_s, plant_log=True)
+    return folder
 
 
 def _command(*words: str) -> str:
@@ -100,9 +90,10 @@ LOG_READERS: dict[str, Callable[[str, str], str]] = {
 """Name -> reader of a log; its second argument is the stem of the name of a new file."""
 
 
-def _log(stock: Stock, rng: Random, folder: Path) -> str:
+def _log(rng: Random, folder: Path) -> str:
     path = folder / "damaged.mcap"
-    path.write_bytes(container.damaged(stock.plant_log if rng.random() < 0.1 else stock.log, rng))
+    source = folder.parent / ("sound-plant.mcap" if rng.random() < 0.1 else "sound.mcap")
+    path.write_bytes(container.damaged(source.read_bytes(), rng))
     reader = rng.choice((*LOG_READERS, "replay", "salvage", "report"))
     return LOG_READERS[reader](str(path), str(folder / "made"))
 
@@ -114,7 +105,7 @@ def _damaged(path: Path, source: bytes, rng: Random) -> Path:
     return path
 
 
-def _configuration(_stock: Stock, rng: Random, folder: Path) -> str:
+def _configuration(rng: Random, folder: Path) -> str:
     source = rng.choice(sorted((ROOT / "configs").glob("*.yaml")))
     c = load(_damaged(folder / "damaged.yaml", source.read_bytes(), rng))
     build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
@@ -130,7 +121,7 @@ _PAIRS_CSV = "x_m,y_m,z_m,rx_deg,ry_deg,rz_deg,l1_m,l2_m,l3_m,l4_m,l5_m,l6_m\n" 
 _COMMANDS = "0.1 arm\n0.5 hold\n1 speed 40 # slower\n2 start\n3 jog x 0.5 for 1.5\n4 setpoint 0 0 1 0 0 0\n"
 
 
-def _csv(_stock: Stock, rng: Random, folder: Path) -> str:
+def _csv(rng: Random, folder: Path) -> str:
     kind = rng.randrange(3)
     path = _damaged(folder / "damaged.csv", (_PATH_CSV, _PAIRS_CSV, _COMMANDS)[kind].encode(), rng)
     if kind == 0:
@@ -142,7 +133,7 @@ def _csv(_stock: Stock, rng: Random, folder: Path) -> str:
     return ""
 
 
-def _controller(_stock: Stock, rng: Random, folder: Path) -> str:
+def _controller(rng: Random, folder: Path) -> str:
     kind = rng.choice(("designs", "controllers"))
     source = rng.choice(sorted((ROOT / "configs" / kind).glob("*.yaml")))
     path = _damaged(folder / "damaged.yaml", source.read_bytes(), rng)
@@ -153,7 +144,7 @@ def _controller(_stock: Stock, rng: Random, folder: Path) -> str:
     return ""
 
 
-def _fmu(_stock: Stock, rng: Random, folder: Path) -> str:
+def _fmu(rng: Random, folder: Path) -> str:
     source, path = build("3.0" if rng.random() < 0.5 else "2.0"), folder / "damaged.fmu"
     if rng.random() < 0.5:
         path.write_bytes(rng.choice(container.ANY)(source.read_bytes(), rng))
@@ -174,7 +165,7 @@ _LINES = (
 _numbers = itertools.count()
 
 
-def _operator(_stock: Stock, rng: Random, folder: Path) -> str:
+def _operator(rng: Random, folder: Path) -> str:
     """Send damaged lines to the socket that receives the operator's commands."""
     with (
         OperatorChannel("fuzz", f"{next(_numbers)}") as channel,
@@ -194,7 +185,7 @@ def _operator(_stock: Stock, rng: Random, folder: Path) -> str:
     return ""
 
 
-TARGETS: dict[str, tuple[Callable[[Stock, Random, Path], str], int]] = {
+TARGETS: dict[str, tuple[Callable[[Random, Path], str], int]] = {
     "log": (_log, 12),
     "configuration": (_configuration, 3),
     "csv": (_csv, 2),

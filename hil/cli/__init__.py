@@ -161,6 +161,8 @@ class _Table(click.Group):
 def main(ctx: click.Context, version: bool, verbose: bool) -> None:
     """Hardware-in-the-loop bridge for six-legged parallel robots on CAN.
 
+    First steps, on this machine alone: new, check, sim, run --plant, watch, replay, report.
+
     CONFIG is a YAML file or the name of a shipped one: virtual (the default), ideal,
     virtual-cia402, socketcan, lab, lab-cia402, two_buses, desktop, bench, vcan50. Logs
     are MCAP files; without --log they go into the folder recording.folder of the

@@ -180,10 +180,13 @@ def test_longest_real_bit_stream_is_within_4_bits_of_the_computed_worst_case():
 def test_bus_overload_is_refused_with_bits_times_load_and_highest_rate():
     many = [Frame(1, bytes(8))] * 12
     with pytest.raises(ConfigurationError) as caught:
-        budget(many, CLASSIC_1M, 1000, 70).require()
+        budget(many, CLASSIC_1M, 1000, 70).require(either_layout=True)
     for part in ("12 x classic", "135.0 us each", "1620.0 us", "162.0 %", "617 Hz", "432 Hz", "layout: fd"):
         assert part in str(caught.value)
     budget(many, CLASSIC_1M, 432, 70).require()
+    with pytest.raises(ConfigurationError) as caught:
+        budget([*many, Frame(1, b"", FD)], CLASSIC_1M, 1000).require(either_layout=True)
+    assert "layout: fd" not in str(caught.value), "the layout is fd already"
 
 
 @st.composite

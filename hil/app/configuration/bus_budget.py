@@ -65,20 +65,23 @@ class BusBudget(NamedTuple):
         )
         return "\n".join(lines)
 
-    def require(self, where: str = "bus", sensors: str = "") -> Self:
+    def require(self, where: str = "bus", *, either_layout: bool = False, sensors: str = "") -> Self:
         """Check that the frames fit, and return the budget itself.
 
-        where: key of the bus. sensors: load without them. Raises ConfigurationError with the arithmetic if
-        the frames do not fit.
+        where: key of the bus. either_layout: the drives support CAN FD and classic frames. sensors: what
+        would fit of them. Raises ConfigurationError with the arithmetic if the frames do not fit.
         """
         if self.load_percent <= self.max_load_percent * (1 + 1e-12):
             return self
+        data_phase, instead = "", ", or use bus.layout: fd" if either_layout else ""
+        if any(flags & FD for _, flags in self.frames):
+            instead, data_phase = "", f" (data phase {self.timing.data_bitrate / 1e6:g} Mbit/s)"
         raise ConfigurationError(
-            f"{where}: the frames of one tick do not fit at {self.timing.bitrate / 1e6:g} Mbit/s, worst-case "
-            f"stuffing:\n{self.table()}\n"
+            f"{where}: the frames of one tick do not fit at {self.timing.bitrate / 1e6:g} Mbit/s"
+            f"{data_phase}, worst-case stuffing:\n{self.table()}\n"
             f"  these frames fit up to {self.allowed_rate_Hz:.0f} Hz ({self.highest_rate_Hz:.0f} Hz fill "
-            "the bus): lower loop.rate_Hz or sensors.*.rate_Hz, raise the bit rates, use bus.layout: fd if "
-            f"the drives have it, or spread legs and sensors over several buses (bus.channels){sensors}"
+            "the bus): lower loop.rate_Hz, raise the bit rates, or spread the legs over several buses "
+            f"(bus.channels){instead}{sensors}"
         )
 
 
@@ -133,10 +136,25 @@ def bus_budgets(
         own, seen = ([frame for frame in some if frame.bus == of] for some in (frames, measured))
         where = f"bus.channels[{index}]" if bus.channels else "bus"
         given = BitTiming.of(each), rate_Hz, each.max_load_percent
-        alone = budget(own, *given).load_percent
-        without = f"; without the sensors it is {alone:.1f} %" if seen else ""
-        found.append(budget([*own, *seen], *given).require(where, without))
+        without, alone = budget(own, *given), budget(seen, *given)
+        remedy = _remedy(without, alone) if seen else ""
+        taken = budget([*own, *seen], *given)
+        found.append(taken.require(where, either_layout=drives.protocol == "legs", sensors=remedy))
     return tuple(found)
+
+
+def _remedy(without: BusBudget, alone: BusBudget) -> str:
+    """What would fit of the sensors on a bus, in words; empty if the bus is too full without them."""
+    if without.load_percent > without.max_load_percent:
+        return ""
+    left = without.max_load_percent - without.load_percent
+    text = (
+        f"; without the sensors it is {without.load_percent:.1f} %, they take {alone.load_percent:.1f} %: "
+        f"{left:.1f} % would fit, by fewer sensors or a lower sensors.*.rate_Hz"
+    )
+    if without.total_ns and alone.load_percent <= alone.max_load_percent:
+        text += "; all of them fit on a bus of their own, an entry of bus.channels without legs"
+    return text
 
 
 def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:

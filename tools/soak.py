@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import click
 import numpy as np
+from mcap.reader import make_reader
 
 from drivers.frame_array import NO_FRAMES
 from hil.app.compose import build_cycle, build_nodes, record
@@ -33,9 +34,10 @@ LEAD_S = 2.0
 """Time, s, from the start of a shift to the overflow of a counter, which then happens in motion."""
 SETTLED = 0.25
 """Share of a shift after which memory counts: tables and caches are full by then."""
-GROWTH, INDEX_GROWTH = Mark(1.0), Mark(3.0)
-"""MB by which the memory of a process may grow in a shift: its logs and messages come and go. The recorder
-also keeps the index of its log, 117 bytes a chunk, until the end."""
+GROWTH = Mark(1.0)
+"""MB by which the memory of a process may grow in a shift: its logs and messages come and go."""
+CHUNK_MB = 117 / 2**20
+"""Memory of the recorder for each chunk of a log, MB: it keeps the index until the end of the log."""
 INTERNED = 100_000
 """Number of names that are interned before the first shift. Python's table of names grows once by 2 MB, after
 some ten thousand names, which dozens of runs take; then its size is constant."""
@@ -62,7 +64,7 @@ class Shift(NamedTuple):
     different: int
     """Number of ticks that differ in a replay."""
     grown_MB: tuple[float, float]
-    """Memory growth of loop and recorder after they had settled."""
+    """Memory growth of loop and recorder after they had settled; that of the recorder without its index."""
     held: tuple[float, int] = (0.0, 0)
     """MB and number of open files of this process at the end."""
 
@@ -114,14 +116,23 @@ def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
     lost = closed.dropped + closed.lost
     trouble = ", ".join(filter(None, (ending.trouble, closed.error, f"{lost} ticks lost" if lost else "")))
     different = 0 if closed.error else differences(c, first, log)
+    chunks = 0 if closed.error else _chunks(log)
     loop, recorder = (b - a for a, b in zip(seen[0], seen[-1], strict=True)) if seen else (0.0, 0.0)
     if not (trouble or different):
         log.unlink()
     gc.collect()
     last = first + closed.ticks - 1
     crossed = [name for name, at in wraps(rate_Hz).items() if last // at > first // at]
+    grown = loop, recorder - (1.0 - SETTLED) * chunks * CHUNK_MB
     held = resident_MB(os.getpid()), len(list(Path("/proc/self/fd").iterdir()))
-    return Shift(first, closed.ticks, crossed, wall_s, trouble, different, (loop, recorder), held)
+    return Shift(first, closed.ticks, crossed, wall_s, trouble, different, grown, held)
+
+
+def _chunks(path: Path) -> int:
+    """Number of chunks in a log, by its index."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    return len(summary.chunk_indexes) if summary else 0
 
 
 def differences(c: Configuration, first: int, path: Path) -> int:
@@ -148,7 +159,7 @@ def figures(shifts: list[Shift], rate_Hz: float) -> list[Figure]:
         *(Figure(f"number of ticks, {name}", {"": float(n)}, "wraps", whole) for name, n in crossed.items()),
         Figure("ticks that differ", {"": float(sum(s.different for s in shifts))}, "", Mark(0.0)),
         Figure("loop, growth in a shift", {"most": loop}, "MB", GROWTH),
-        Figure("recorder, growth in a shift", {"most": recorder}, "MB", INDEX_GROWTH),
+        Figure("recorder, growth in a shift", {"most": recorder}, "MB", GROWTH, "without its index"),
         Figure("process, second shift to last", {"": MB}, "MB", GROWTH),
         Figure("open files, second shift to last", {"": float(files)}, "", Mark(0.0)),
     ]

@@ -71,11 +71,13 @@ _SLOTS = [TRACKER, IMU, WRENCH]
 _put = kernel(record(ROW), VECTOR, INTEGER, REAL, INTEGER, record(FRAME))(put_sample)
 
 
-def encode(protocol: SensorProtocol, kind: str, values: Any, *stamp: Any) -> Any:
-    """Frame of a sample of a role with one message; None if it has none. stamp: cycle, offset s, counter."""
+def encode(
+    protocol: SensorProtocol, kind: str, values: Any, cycle: int, offset_s: float, counter: int
+) -> Any:
+    """Frame of a sample of a role with one message; None if it has none. offset_s: its time after SYNC."""
     rows, frame = protocol.tables.rows, np.zeros(1, FRAME)
     row = rows[rows["slot"] == _SLOTS[KINDS.index(kind)]][:1].reshape(())
-    failed = _put(row, np.array(values, float), *stamp, frame.reshape(())) == FAILED
+    failed = _put(row, np.array(values, float), cycle, offset_s, counter, frame.reshape(())) == FAILED
     return None if failed else sent_frames(frame)[0]
 
 

@@ -7,7 +7,7 @@ keep time; that the bytes are those of the device is shown by recorded frames al
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -89,7 +89,7 @@ class SensorContract:
 
     ROLE: str
     """Key of section `sensors`."""
-    SETTINGS: dict[str, Any]
+    SETTINGS: ClassVar[dict[str, Any]]
     """The role's settings: its device, with latency_ms 2 if that is a key of it."""
     RESOLUTION: float
     """Largest error of a value by the steps of its field."""

@@ -28,6 +28,7 @@ from hil.loop.cycle import Cycle
 from hil.loop.sight import Sight
 from hil.robot.dynamics import Model
 from tests.hil.cycle_bench import VIRTUAL
+from tests.sensor_samples import encode
 
 ALL = 0b111111
 KEPT: list[Any] = []
@@ -66,7 +67,7 @@ def load_frames(*samples: tuple[float, float]) -> Any:
     """Frames of the wrench sensor: share of LOAD, and its sample time after the SYNC of tick 4."""
     return received_array(
         [
-            Received(0, P.encode("wrench", [share * x for x in LOAD], 4, offset_s, k))
+            Received(0, encode(P, "wrench", [share * x for x in LOAD], 4, offset_s, k))
             for k, (share, offset_s) in enumerate(samples)
         ]
     )

@@ -90,7 +90,7 @@ def test_error_under_disturbances_of_the_configured_size_stays_within_the_printe
     pushes = list(forces(brief, mobility, count))
     c = configured(case, D, pushes[-1].at_s + 1.0)
     verdict = judge(c, Stated(Load(FORCE_N)) if case.stated else Stated())
-    assert verdict.status == "conditional", verdict.line
+    assert verdict.status == "conditional", verdict.claim
     bound = np.array(verdict.figures["ultimate_bound"])
     late = FramesDelay(at_s=0.0, by_ms=COMMANDS_LATE_ms, identifier=COMMAND_ID)
     rows = succeeded(c, late, *pushes).tracking

@@ -76,7 +76,7 @@ def configured(law: dict[str, Any], *, observes: bool, warn: int = 1, lasts_s: f
 
 
 def bound_of(verdict: Assessment) -> Array:
-    assert verdict.status == "conditional", verdict.line
+    assert verdict.status == "conditional", verdict.claim
     return np.array(verdict.figures["ultimate_bound"])
 
 

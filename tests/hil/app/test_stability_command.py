@@ -80,7 +80,7 @@ def test_stability_tests_cover_every_registered_control_law():
 def test_stability_of_each_control_law_has_the_expected_result_and_reason(law, rest, status, because):
     verdict = judge(bench(law, rest=rest))
     assert verdict.status == status, verdict
-    assert because in verdict.line
+    assert because in verdict.claim
     if not rest and "pd" in law:
         assert any("while it moves nothing is proven" in condition for condition in verdict.conditions)
 
@@ -187,8 +187,8 @@ def test_constant_error_at_rest_is_not_reported_as_decaying(belief):
     """A wrong weight, or friction in the model of the law that the robot does not have."""
     found = judge(bench(f"  law: inverse_dynamics\n  wn_rad_s: 20\n  model: {belief}\n", rest=True))
     assert found.status == "conditional"
-    assert "errors stay below" in found.line
-    assert "die out" not in found.line
+    assert "errors stay below" in found.claim
+    assert "die out" not in found.claim
 
 
 def test_stability_bound_includes_dry_friction_even_if_the_law_compensates_it():

@@ -66,7 +66,7 @@ def build_surveyor(
     """
     s = c.platform
     angles = (s.base_joint_angle_max_deg, s.platform_joint_angle_max_deg)
-    base_angle, platform_angle = (None if angle is None else float(np.deg2rad(angle)) for angle in angles)
+    base_angle, platform_angle = (np.pi if angle is None else float(np.deg2rad(angle)) for angle in angles)
     limits = Limits(
         s.length_min_m + c.limits.stroke_margin_m,
         s.length_max_m - c.limits.stroke_margin_m,

@@ -32,37 +32,30 @@ BISECTIONS = 30
 
 
 class WorkspaceError(ModelError):
-    """Home, or the requested position, is outside the limits of the workspace.
-
-    problems : one text for each violated limit.
-    """
-
-    def __init__(self, where: str, problems: tuple[str, ...]) -> None:
-        super().__init__(f"{where}: " + "; ".join(problems))
-        self.problems = problems
+    """Home, or the requested position, is outside the limits of the workspace."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits that a reachable pose must keep. None: not checked."""
+    """Limits that a reachable pose must keep."""
 
     length_min: float
     """m, each leg."""
     length_max: float
     """m, each leg."""
-    force: float | None = None
+    force: float = np.inf
     """N, each leg, to hold platform, legs and payload still."""
     condition: float = 1e9
     """Bound on the condition of J as `hil.mathematics.linear_algebra.condition_kernel` computes it, also for
     the controller. Crossing a singularity (det J = 0) violates any bound.
     """
-    base_angle: float | None = None
+    base_angle: float = np.pi
     """rad, between each leg and the axis of its base joint."""
-    platform_angle: float | None = None
+    platform_angle: float = np.pi
     """rad, between each leg and the axis of its platform joint."""
     leg_diameter: float | None = None
-    """m, smallest distance between the axes of two legs. Pairs whose joints are closer than that at an end
-    are built to meet and are not checked.
+    """m, smallest distance between the axes of two legs; None: not checked. Pairs whose joints are closer
+    than that at an end are built to meet and are not checked.
     """
 
 
@@ -108,22 +101,23 @@ class Surveyor:
         self.orientation = float(figures[0, kernels.ORIENTATION])
         problems = self._problems(figures)
         if problems:
-            raise WorkspaceError(f"home, p = {self.p.tolist()} m, is outside the limits", problems)
+            raise WorkspaceError(f"home, p = {self.p.tolist()} m, is outside the limits: {problems}")
 
-    def survey(self, P: Array, R: Array) -> Array:
+    def survey(self, P: Array, R: Array, payload_kg: float | None = None) -> Array:
         """Figures of n poses, (n, 27): columns of `hil.study.workspace.kernels`.
 
-        P (n, 3) or (3,) m; R (n, 3, 3), or (3, 3) for all.
+        P (n, 3) or (3,) m; R (n, 3, 3), or (3, 3) for all. payload_kg : another mass of the payload.
         """
+        payload = self.payload if payload_kg is None else np.array([payload_kg, *self.payload[1:]])
         P = np.ascontiguousarray(P, np.float64).reshape(-1, 3)
         RR = np.ascontiguousarray(np.broadcast_to(R, (len(P), 3, 3))).reshape(-1, 9)
         out = np.empty((len(P), kernels.COLUMNS))
         axes = self.base_axes, self.platform_axes
-        survey_kernel(self._constants, self.payload, *axes, self._watched, self.platform.radius, P, RR, out)
+        survey_kernel(self._constants, payload, *axes, self._watched, self.platform.radius, P, RR, out)
         return out
 
     def margins(self, figures: Array) -> Array:
-        """Margins (n, 5), one column per limit of KINDS: >= 0 within the limit, inf without a limit.
+        """Margins (n, 5), one column per limit of KINDS: >= 0 within the limit.
 
         Stroke as a share of the stroke; joint angle as difference of cosines; force and condition as shares
         of the limit; interference as a share of the diameter. -1 beyond a singularity.
@@ -135,13 +129,11 @@ class Surveyor:
         m[:, 0] = np.minimum(q - lim.length_min, lim.length_max - q).min(axis=1) / stroke
         firsts = (kernels.BASE_COSINE, kernels.PLATFORM_COSINE)
         for angle, first in zip((lim.base_angle, lim.platform_angle), firsts, strict=True):
-            if angle is not None:
-                cosine = figures[:, first : first + 6].min(axis=1)
-                m[:, 1] = np.minimum(m[:, 1], cosine - np.cos(angle))
+            cosine = figures[:, first : first + 6].min(axis=1)
+            m[:, 1] = np.minimum(m[:, 1], cosine - np.cos(angle))
         regular = figures[:, kernels.ORIENTATION] == self.orientation
-        if lim.force is not None:
-            tau = np.abs(figures[:, kernels.FORCE : kernels.FORCE + 6]).max(axis=1)
-            m[:, 2] = np.where(np.isnan(tau), np.inf, 1.0 - tau / lim.force)
+        tau = np.abs(figures[:, kernels.FORCE : kernels.FORCE + 6]).max(axis=1)
+        m[:, 2] = np.where(np.isnan(tau), np.inf, 1.0 - tau / lim.force)
         m[:, SINGULARITY] = np.where(regular, 1.0 - figures[:, kernels.CONDITION] / lim.condition, -1.0)
         if lim.leg_diameter is not None:
             m[:, 4] = figures[:, kernels.CLEARANCE] / lim.leg_diameter - 1.0
@@ -204,24 +196,15 @@ class Surveyor:
         return sigma[:, 0] / sigma[:, 5], sigma[:, 5]
 
     def largest_payload(self) -> float:
-        """Largest mass, kg, at the payload's place that the legs can hold at home, payload included.
-
-        inf without a limit of force.
-        """
-        limit = self.limits.force
-        if limit is None:
-            return np.inf
-        still = np.zeros(6)
-        g = self.platform.gravity
-        load = np.concatenate([g, np.cross(self.R @ self.payload[1:], g)])
-        model = Model(self.platform)
-        empty = model.inverse_dynamics(self.p, self.R, still, still)
-        slope = model.inverse_dynamics(self.p, self.R, still, still, load) - empty  # N per kg
+        """Largest mass, kg, at the payload's place that the legs can hold at home, payload included."""
+        limit, forces = self.limits.force, slice(kernels.FORCE, kernels.FORCE + 6)
+        empty, loaded = (self.survey(self.p, self.R, kg)[0, forces] for kg in (0.0, 1.0))
+        slope = loaded - empty  # N per kg
         room = np.where(slope > 0, limit - empty, -limit - empty)
         with np.errstate(divide="ignore", invalid="ignore"):
             return float(np.min(np.where(slope != 0, room / slope, np.inf)))
 
-    def _problems(self, figures: Array) -> tuple[str, ...]:
+    def _problems(self, figures: Array) -> str:
         lim, row = self.limits, figures[0]
         q, tau, *cosines = (row[k : k + 6] for k in range(0, kernels.ORIENTATION, 6))
         bent = np.rad2deg(np.arccos(np.clip(cosines, -1, 1))).max(axis=1)
@@ -229,18 +212,17 @@ class Surveyor:
         angles = [
             f"{name} joint up to {angle:.2f} deg from its axis (allowed {np.rad2deg(allowed):g})"
             for name, angle, allowed in joints
-            if allowed is not None
         ]
         stroke = f"{lim.length_min:g} to {lim.length_max:g}"
         texts = (
             f"leg lengths {q.min():.4f} to {q.max():.4f} m (allowed {stroke})",
             ", ".join(angles),
-            f"static leg force {np.abs(tau).max():.1f} N (allowed {lim.force or 0.0:g})",
+            f"static leg force {np.abs(tau).max():.1f} N (allowed {lim.force:g})",
             f"condition of J {row[kernels.CONDITION]:.4g} (allowed {lim.condition:g})",
             f"legs {row[kernels.CLEARANCE]:.4f} m apart (allowed more than {lim.leg_diameter} m)",
         )
         broken = self.margins(figures)[0] < 0
-        return tuple(text for text, bad in zip(texts, broken, strict=True) if bad)
+        return "; ".join(text for text, bad in zip(texts, broken, strict=True) if bad)
 
 
 def levels(below: float, above: float, count: int) -> Array:

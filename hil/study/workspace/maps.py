@@ -25,10 +25,7 @@ class Workspace(NamedTuple):
 
 
 def explore(
-    surveyor: Surveyor,
-    resolution: int = 60,
-    position: ArrayLike | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    surveyor: Surveyor, resolution: int, position: ArrayLike | None, progress: Callable[[str], None]
 ) -> Workspace:
     """Map positions and orientations, cut three sections through home, fit the largest sphere and cylinder.
 

@@ -21,6 +21,7 @@ STEP = np.deg2rad(1.0)
 """Step along a path."""
 LEVELS = 24
 """Torsions on either side of zero."""
+AZIMUTHS = 72
 
 
 class OrientationMap(NamedTuple):
@@ -59,10 +60,7 @@ def tilt_torsion(phi: Array, theta: Array, sigma: Array) -> Array:
 
 
 def map_orientations(
-    surveyor: Surveyor,
-    position: ArrayLike | None = None,
-    positions: PositionMap | None = None,
-    azimuths: int = 72,
+    surveyor: Surveyor, position: ArrayLike | None = None, positions: PositionMap | None = None
 ) -> OrientationMap:
     """Map the rotations that the platform can reach at a position (3,) m, default home's.
 
@@ -77,7 +75,7 @@ def map_orientations(
         _, (end,) = surveyor.rays((start - surveyor.p)[None], (p - start)[None], 1.0 / steps, 1.0)
         if end != FREE:
             meets = f"not reached from home: the straight line meets the limit {KINDS[end]}"
-            raise WorkspaceError(f"position {p.tolist()} m", (meets,))
+            raise WorkspaceError(f"position {p.tolist()} m: {meets}")
 
     def turns(t: Array, which: Ints) -> tuple[Array, Array]:
         zero = np.zeros_like(t)
@@ -86,14 +84,14 @@ def map_orientations(
 
     (least, largest), stops = surveyor.first_exit(turns, 2, STEP, np.pi)
     torsion = levels(least, largest, LEVELS)
-    azimuth = 2.0 * np.pi * np.arange(azimuths) / azimuths
+    azimuth = 2.0 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     phi = np.tile(azimuth, len(torsion))
-    sigma = np.repeat(torsion, azimuths)
+    sigma = np.repeat(torsion, AZIMUTHS)
 
     def tilts(t: Array, which: Ints) -> tuple[Array, Array]:
         return np.tile(p, (len(t), 1)), surveyor.R @ tilt_torsion(phi[which], t, sigma[which])
 
     tilt, kinds = surveyor.first_exit(tilts, len(phi), STEP, np.pi)
-    shape = (len(torsion), azimuths)
+    shape = (len(torsion), AZIMUTHS)
     ends = (int(stops[0]), int(stops[1]))
     return OrientationMap(p, azimuth, torsion, tilt.reshape(shape), kinds.reshape(shape), ends)

@@ -76,7 +76,7 @@ class CrossSection(NamedTuple):
     """(k,) index into KINDS."""
 
 
-def map_positions(surveyor: Surveyor, resolution: int = 40) -> PositionMap:
+def map_positions(surveyor: Surveyor, resolution: int) -> PositionMap:
     """Map the translations that the platform can reach from home with home's orientation.
 
     The grid has a node at home and ``resolution`` steps along the longest side of the workspace's box. The
@@ -107,7 +107,7 @@ def stroke_box(surveyor: Surveyor) -> tuple[Array, Array]:
     low = np.minimum((centres - lim.length_max).max(axis=0) - surveyor.p, 0.0)
     high = np.maximum((centres + lim.length_max).min(axis=0) - surveyor.p, 0.0)
     if not (high - low).max() > 0:
-        raise WorkspaceError("workspace", ("the legs leave no room to move about home",))
+        raise WorkspaceError("workspace: the legs leave no room to move about home")
     return low, high
 
 

@@ -1,6 +1,7 @@
 """The map of reachable poses against closed forms, quasi Monte Carlo and NumPy's own linear algebra."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -150,7 +151,7 @@ def test_torsion_and_tilt_of_the_book_platform_agree_with_closed_forms(turn):
     +y lowers no joint at first: l^2 = 6 - 4 cos(30 deg + tilt) for the legs at (0, -1, 0).
     """
     high, R = 2.18, Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix()
-    found = map_orientations(book(Limits(0.5, high), R=R), azimuths=72)
+    found = map_orientations(book(Limits(0.5, high), R=R))
     angle = np.arccos((6 - high**2) / 4) - np.deg2rad(30)
     assert found.torsion[[0, -1]] == pytest.approx([-angle - turn, angle - turn], abs=1e-9)
     assert [KINDS[k] for k in found.torsion_kinds] == ["stroke", "stroke"]
@@ -185,11 +186,11 @@ def test_a_joint_is_exactly_at_its_largest_angle_on_a_joint_boundary():
 def test_platform_joint_axes_rotate_with_the_platform():
     limit = np.deg2rad(20.0)
     surveyor = book(Limits(0.1, 5.0, platform_angle=limit))
-    orientations = map_orientations(surveyor, azimuths=12)
+    orientations = map_orientations(surveyor)
     home = jacobian(surveyor.platform, HOME, UPRIGHT)[:, :3]
-    R = tilt_torsion(np.array([orientations.azimuth[4]]), orientations.level[4:5], np.zeros(1))[0]
+    R = tilt_torsion(np.array([orientations.azimuth[24]]), orientations.level[24:25], np.zeros(1))[0]
     s = jacobian(surveyor.platform, HOME, R)[:, :3]
-    assert KINDS[orientations.kinds[len(orientations.torsion) // 2, 4]] == "joint angle"
+    assert KINDS[orientations.kinds[len(orientations.torsion) // 2, 24]] == "joint angle"
     assert np.arccos((s * (home @ R.T)).sum(axis=1)).max() == pytest.approx(limit, abs=1e-8)
 
 
@@ -262,10 +263,9 @@ OUTSIDE = [
 def test_home_outside_a_limit_is_refused_with_value_and_limit(limits, message):
     upwards = np.tile([0.0, 0.0, 1.0], (6, 1))
     book(Limits(1.0, 2.0, 20000.0, 3.0, np.deg2rad(52)), base_axes=upwards)
-    with pytest.raises(WorkspaceError) as caught:
+    with pytest.raises(WorkspaceError, match=re.escape(message)) as caught:
         book(limits, base_axes=upwards)
-    (problem,) = caught.value.problems
-    assert message in problem
+    assert str(caught.value).count("allowed") <= 2, "the other limits are kept"
 
 
 def test_orientations_at_an_unreachable_position_are_refused(pairs, half_lens):

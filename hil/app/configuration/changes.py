@@ -1,11 +1,12 @@
 """Changes values of a configuration and writes its complete text, which a log stores."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 import yaml
+from pydantic import BaseModel
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
@@ -116,3 +117,21 @@ def _without(c: Configuration, taken: Keys) -> Configuration:
     found = c.model_copy(update=changes)
     found._text = text_of(unattended_data(parse(c.text).value or {}, taken))  # noqa: SLF001
     return found
+
+
+def differences(one: Configuration, other: Configuration) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the keys in which two configurations differ, with both values; None: no such key."""
+    here, there = (dict(_flat("", dict(c))) for c in (one, other))
+    for key in here | there:
+        if here.get(key) != there.get(key):
+            yield key, here.get(key), there.get(key)
+
+
+def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested sections with dotted keys."""
+    found = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+    if not isinstance(found, dict):
+        yield key, found
+        return
+    for name, inner in found.items():
+        yield from _flat(f"{key}.{name}".removeprefix("."), inner)

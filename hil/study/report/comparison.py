@@ -1,11 +1,11 @@
 """Page with two runs side by side: figures, configurations, one column over the other."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from drivers.arrays import Array
+from hil.app.configuration.changes import differences
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import figure_rows
 from hil.record.figures import figures
@@ -18,10 +18,7 @@ def comparison(one: Run, other: Run) -> str:
     """HTML text of the page about two runs."""
     t, shown = overlaid(one, other)
     head = ("figure", one.name, other.name)
-    runs = [
-        ("run", one.title, other.title),
-        ("verdict", one.verdict, other.verdict),
-    ]
+    runs = [("run", one.title, other.title), ("verdict", one.verdict, other.verdict)]
     body = [
         tag("header", tag("h1", f"{one.name} and {other.name}")),
         tag("section", tag("h2", "Two runs"), table(head, runs), id="runs"),
@@ -53,23 +50,11 @@ def _named(rows: Sequence[tuple[str, str]]) -> Iterator[tuple[str, str]]:
 def _differences(head: Sequence[str], one: Configuration | None, other: Configuration | None) -> list[Html]:
     if one is None or other is None:
         return [tag("p", "One of the configurations cannot be read.")]
-    flat = [dict(_flat(c.model_dump(mode="json"))) for c in (one, other)]
-    keys = dict.fromkeys([*flat[0], *flat[1]])
     different = [
-        (key, *(str(each.get(key, "–")) for each in flat))
-        for key in keys
-        if flat[0].get(key) != flat[1].get(key)
+        (key, *("–" if value is None else str(value) for value in values))
+        for key, *values in differences(one, other)
     ]
     return [table(("key", *head[1:]), different)] if different else [tag("p", "Equal in every key.")]
-
-
-def _flat(values: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Key paths of nested mappings with their values."""
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{path}{key}.")
-        else:
-            yield f"{path}{key}", value
 
 
 def overlaid(one: Run, other: Run) -> tuple[Array, list[Chart]]:

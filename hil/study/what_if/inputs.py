@@ -5,13 +5,11 @@ were fixed when the log was recorded.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-from pydantic import BaseModel
-
 from drivers.errors import ConfigurationError
-from hil.app.configuration.changes import with_changes
+from hil.app.configuration.changes import differences, with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.yaml_positions import parse
 from hil.study.campaign.keys import put
@@ -111,23 +109,11 @@ def _inputs(c: Configuration) -> dict[str, tuple[Any, str]]:
 
 def changes(there: Configuration, here: Configuration) -> list[str]:
     """Keys in which two configurations differ, each with both values, as texts."""
-    one, other = (dict(_flat("", dict(c))) for c in (there, here))
-    keys = [key for key in {**one, **other} if key.partition(".")[0] not in UNNAMED]
     return [
-        f"{key}: {_text(one.get(key))} -> {_text(other.get(key))}"
-        for key in keys
-        if one.get(key) != other.get(key)
+        f"{key}: {_text(one)} -> {_text(other)}"
+        for key, one, other in differences(there, here)
+        if key.partition(".")[0] not in UNNAMED
     ]
-
-
-def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested sections with dotted keys."""
-    found = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
-    if not isinstance(found, dict):
-        yield key, found
-        return
-    for name, inner in found.items():
-        yield from _flat(f"{key}.{name}".removeprefix("."), inner)
 
 
 def _text(value: Any) -> str:

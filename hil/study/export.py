@@ -122,7 +122,8 @@ def export_log(
     message, and `success` is False.
 
     Raises LogError: not a log; an unknown ending, an existing file without `overwrite` or an option that fits
-    none of the files (before anything is written); an unknown column; a file that cannot be written.
+    none of the files (before anything is written); an unknown column. OSError: a file cannot be
+    written.
     """
     log = Log(path)
     _check(outs, start=start, columns=columns, overwrite=overwrite)
@@ -131,15 +132,12 @@ def export_log(
     written: dict[str, Any] = {}
     for out in outs:
         ending = out.suffix.lower()
-        try:
-            with made_whole(out, overwrite=overwrite) as temporary:
-                if ending in SIGNALS:
-                    written[str(out)] = {"rows": SIGNALS[ending](log, temporary, columns)}
-                else:
-                    frames = _write_frames(log, temporary, FRAMES[ending], start_ns - own_ns)
-                    written[str(out)] = {"format": FRAMES[ending], "frames": frames}
-        except OSError as error:
-            raise LogError(f"{out}: cannot be written: {error.strerror or error}") from None
+        with made_whole(out, overwrite=overwrite) as temporary:
+            if ending in SIGNALS:
+                written[str(out)] = {"rows": SIGNALS[ending](log, temporary, columns)}
+            else:
+                frames = _write_frames(log, temporary, FRAMES[ending], start_ns - own_ns)
+                written[str(out)] = {"format": FRAMES[ending], "frames": frames}
     result: dict[str, Any] = {
         "success": not log.cut,
         "kind": "export",

@@ -115,7 +115,7 @@ def _path(log: Path, out: Path | None, *, force: bool) -> Path:
 def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, title: str) -> None:
     """Draw panels of curves, one above the other; the ending of the path selects PNG or SVG.
 
-    Raises LogError: the file cannot be written.
+    Raises OSError: the file cannot be written.
     """
     from matplotlib import rc_context  # noqa: PLC0415 - half a second
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -127,16 +127,13 @@ def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, t
     every[-1].set_xlabel("s")
     figure.suptitle(title, fontsize="medium", parse_math=False)
     dated = {"Date": None} if path.suffix.lower() == ".svg" else None
-    try:
-        with (
-            made_whole(path, overwrite=True) as temporary,
-            rc_context({"svg.hashsalt": "hil", "svg.fonttype": "none"}),  # one log, one file
-            warnings.catch_warnings(),
-        ):
-            warnings.filterwarnings("ignore", "Glyph .* missing")  # boxes are drawn for it
-            figure.savefig(temporary, dpi=110, metadata=dated)
-    except OSError as error:
-        raise LogError(f"--out {path}: cannot be written: {error.strerror}") from None
+    with (
+        made_whole(path, overwrite=True) as temporary,
+        rc_context({"svg.hashsalt": "hil", "svg.fonttype": "none"}),  # one log, one file
+        warnings.catch_warnings(),
+    ):
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # boxes are drawn for it
+        figure.savefig(temporary, dpi=110, metadata=dated)
 
 
 def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:

@@ -33,6 +33,11 @@ class Column(NamedTuple):
     """Largest width in characters."""
 
 
+def figure_column(title: str, key: str, form: str = "") -> Column:
+    """Column with one figure of rows (name, figures by key); the default format is that of summaries."""
+    return Column(title, lambda row: figure(row[1].get(key), form))
+
+
 def print_rows(
     columns: Sequence[Column],
     rows: Iterable[Any],

@@ -27,7 +27,7 @@ from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.study.compare.laws import changed, desired_loop
 from hil.study.compare.measure import Job, measure
-from hil.study.table import Column, figure, print_rows
+from hil.study.table import Column, figure_column, print_rows
 from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant, StewartPlant
 
@@ -291,22 +291,18 @@ def simulated(rows: Mapping[str, Configuration]) -> dict[str, dict[str, Any]]:
     return {o.law: {"fault": o.fault, **o.figures} for o in map(measure, work)}
 
 
-def _column(title: str, key: str, form: str) -> Column:
-    return Column(title, lambda row: figure(row[1].get(key), form))
-
-
 _COLUMNS = (
     Column("", lambda row: row[0], left=True),
-    _column("wn\nrad/s", "wn_rad_s", ".3g"),
-    _column("damping", "damping_ratio", ".3g"),
-    _column("crossover\nrad/s", "crossover_rad_s", ".0f"),
-    _column("delay\nmargin ms", "delay_margin_ms", ".3g"),
-    _column("phase\ndeg", "phase_margin_deg", ".0f"),
-    _column("gain\ntimes", "gain_margin", ".3g"),
-    _column("noise\nN", "force_noise_N", ".2g"),
-    _column("load\nmm", "disturbed_error_mm", ".3g"),
-    _column("peak\nerror mm", "peak_true_leg_error_mm", ".3g"),
-    _column("RMS\nmm", "rms_true_leg_error_mm", ".3g"),
+    figure_column("wn\nrad/s", "wn_rad_s", ".3g"),
+    figure_column("damping", "damping_ratio", ".3g"),
+    figure_column("crossover\nrad/s", "crossover_rad_s", ".0f"),
+    figure_column("delay\nmargin ms", "delay_margin_ms", ".3g"),
+    figure_column("phase\ndeg", "phase_margin_deg", ".0f"),
+    figure_column("gain\ntimes", "gain_margin", ".3g"),
+    figure_column("noise\nN", "force_noise_N", ".2g"),
+    figure_column("load\nmm", "disturbed_error_mm", ".3g"),
+    figure_column("peak\nerror mm", "peak_true_leg_error_mm", ".3g"),
+    figure_column("RMS\nmm", "rms_true_leg_error_mm", ".3g"),
     Column("", lambda row: Text(row[1].get("fault") or "", "red"), left=True),
 )
 

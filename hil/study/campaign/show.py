@@ -6,7 +6,6 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import LogError
 from hil.app.files import write_whole
 from hil.study.campaign.figures import METRICS
 from hil.study.campaign.plan import Plan
@@ -76,7 +75,7 @@ def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | None = None) -> None:
-    """Write a campaign's results as an HTML page. folder: option --out. Raises LogError if that fails."""
+    """Write a campaign's results as an HTML page. folder: option --out. Raises OSError if that fails."""
     limits = plan.settings.kept
     low, high = summary["failed_interval_percent"]
     verdict = (
@@ -103,7 +102,4 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
         worst = tag("div", tag("pre", "\n".join(lines)), class_="scroll", tabindex=0)
         body += [tag("h2", "Worst rows"), worst]
     text = document(f"Campaign {plan.name}", [tag("main", *body)], ("page.css",))
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error.strerror}") from None
+    write_whole(path, text)

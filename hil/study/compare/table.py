@@ -5,46 +5,41 @@ from typing import Any
 
 from rich.text import Text
 
-from hil.study.table import Column, Terminal, figure, print_rows
+from hil.study.table import Column, Terminal, figure, figure_column, print_rows
 
 Row = dict[str, Any]
-
-
-def _figure(title: str, key: str, form: str = "") -> Column:
-    """Table column with one figure of each law; the default format is that of summaries."""
-    return Column(title, lambda row: figure(row[1].get(key), form))
 
 
 LAW = Column("law", lambda row: row[0], left=True)
 PATH = (
     LAW,
-    _figure("leg mm\npeak", "peak_leg_error_mm", ".3g"),
-    _figure("\nRMS", "rms_leg_error_mm", ".3g"),
-    _figure("position\npeak mm", "peak_position_error_mm", ".3g"),
-    _figure("rotation\npeak deg", "peak_rotation_error_deg", ".2g"),
-    _figure("force\npeak N", "peak_force_N"),
-    _figure("force\nvar. N", "force_variation_N"),
+    figure_column("leg mm\npeak", "peak_leg_error_mm", ".3g"),
+    figure_column("\nRMS", "rms_leg_error_mm", ".3g"),
+    figure_column("position\npeak mm", "peak_position_error_mm", ".3g"),
+    figure_column("rotation\npeak deg", "peak_rotation_error_deg", ".2g"),
+    figure_column("force\npeak N", "peak_force_N"),
+    figure_column("force\nvar. N", "force_variation_N"),
     Column("", lambda row: Text(result(row[1]), "red"), left=True),
 )
 STEP = (
     LAW,
-    _figure("at rest\nleg mm", "steady_leg_error_mm", ".2g"),
-    _figure("rise\nms", "rise_ms", ".0f"),
-    _figure("over-\nshoot %", "overshoot_percent", ".1f"),
-    _figure("-3 dB\nHz", "bandwidth_Hz", ".3g"),
+    figure_column("at rest\nleg mm", "steady_leg_error_mm", ".2g"),
+    figure_column("rise\nms", "rise_ms", ".0f"),
+    figure_column("over-\nshoot %", "overshoot_percent", ".1f"),
+    figure_column("-3 dB\nHz", "bandwidth_Hz", ".3g"),
     Column("", lambda row: Text(unrest(row[1]), "red"), left=True),
 )
 LOOP = (
     LAW,
-    _figure("crossover\nrad/s", "crossover_rad_s", ".0f"),
-    _figure("delay\nmargin ms", "delay_margin_ms", ".3g"),
+    figure_column("crossover\nrad/s", "crossover_rad_s", ".0f"),
+    figure_column("delay\nmargin ms", "delay_margin_ms", ".3g"),
     Column("gains", lambda row: _gains(row[1]["gains"]), left=True),
     Column("", lambda row: Text(row[1]["remark"] or "", "red"), left=True),
 )
 LOAD = (
     LAW,
-    _figure("leg mm\npeak", "disturbed_peak_leg_error_mm", ".3g"),
-    _figure("\nat rest", "disturbed_steady_leg_error_mm", ".3g"),
+    figure_column("leg mm\npeak", "disturbed_peak_leg_error_mm", ".3g"),
+    figure_column("\nat rest", "disturbed_steady_leg_error_mm", ".3g"),
 )
 CLAIMS = (
     Column("section", lambda claim: claim["section"], left=True),

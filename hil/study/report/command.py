@@ -8,7 +8,6 @@ import numpy as np
 
 from drivers.can.bus_time import BitTiming
 from drivers.config import UDP
-from drivers.errors import LogError
 from hil.app.files import new_file, write_whole
 from hil.app.output import figure_rows
 from hil.app.run.stretching import stretches
@@ -35,17 +34,14 @@ def report(
     """Write the HTML page about the run in a log, or about two runs side by side; return the summary.
 
     Raises LogError: not a log of `hil run` or `hil sim`, columns of another version, no tick, or `out` exists
-    and `force` is not set.
+    and `force` is not set; OSError: `out` cannot be written.
     """
     begun = time.perf_counter()
     target = new_file(path.with_suffix(".html") if out is None else out, force=force)
     with np.errstate(all="ignore"):  # a log may hold any number
         run = read(path)
         text = _page(run) if other is None else comparison(run, read(other))
-    try:
-        write_whole(target, text)
-    except OSError as error:
-        raise LogError(f"--out {target}: cannot be written: {error.strerror}") from None
+    write_whole(target, text)
     return {
         "success": True,
         "kind": "report",

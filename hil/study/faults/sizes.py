@@ -42,22 +42,15 @@ def robot_of(c: Configuration) -> Robot:
 
 def sensor_of(c: Configuration, leg: int) -> tuple[str, float]:
     """Name of the first configured sensor, that of a leg if each has one, and its standard deviation, SI."""
-    for role, of_leg in (("lengths", f"length_{leg}"), ("forces", f"force_{leg}")):
-        settings = getattr(c.sensors, role)
-        if settings is not None:
-            return of_leg, settings.std[0] if isfinite(settings.std[0]) else 1.0
-    role = next(role for role in KINDS if getattr(c.sensors, role) is not None)
+    of_leg = {"lengths": f"length_{leg}", "forces": f"force_{leg}"}
+    role = next(role for role in (*of_leg, *KINDS) if getattr(c.sensors, role) is not None)
     std = getattr(c.sensors, role).std[0]
-    return role, std if isfinite(std) else 1.0
+    return of_leg.get(role, role), std if isfinite(std) else 1.0
 
 
 def _log(chance: Chance, low: float, high: float) -> float:
     """Draw a number in [low, high] whose logarithm is uniformly distributed."""
     return float(np.exp(chance.uniform(np.log(low), np.log(high))))
-
-
-def _even(chance: Chance, low: float, high: float) -> float:
-    return float(chance.uniform(low, high))
 
 
 def _signed(chance: Chance, low: float, high: float) -> float:
@@ -96,20 +89,20 @@ SIZES: dict[str, Size] = {
     "encoder_jump": Size("by_m", 5e-3, _signed, 1e-3, 0.5),
     "encoder_drift": Size("by_m_s", 5e-3, _signed, 5e-4, 0.02),
     "encoder_noise": Size("sigma_m", 1e-4, _log, 1e-6, 1e-3),
-    "encoder_late": Size("by_ms", 1.0, _even, 0.2, 2.0, _PERIODS),
+    "encoder_late": Size("by_ms", 1.0, Chance.uniform, 0.2, 2.0, _PERIODS),
     "encoder_scale": Size("factor", 0.01, _signed, 1e-2, 0.05, lambda _r, _leg, x: 1.0 + x),
-    "drive_gain": Size("factor", 0.5, _even, 0.0, 2.0),
+    "drive_gain": Size("factor", 0.5, Chance.uniform, 0.0, 2.0),
     # without a load a share of the rated force
     "drive_saturation": Size(
         "limit_N", 0.5, _log, 0.1, 1.0, lambda r, leg, x: x * float(r.static_N[leg]) or 0.02 * r.rated_N
     ),
     "brake_slow": Size("by_ms", 200.0, _log, 10.0, 500.0),
-    "brake_slipping": Size("share", 0.5, _even, 0.0, 1.0, _of_brake),
-    "frames_loss": Size("probability", 0.3, _even, 0.01, 1.0),
-    "frames_duplicate": Size("probability", None, _even, 0.1, 1.0),
+    "brake_slipping": Size("share", 0.5, Chance.uniform, 0.0, 1.0, _of_brake),
+    "frames_loss": Size("probability", 0.3, Chance.uniform, 0.01, 1.0),
+    "frames_duplicate": Size("probability", None, Chance.uniform, 0.1, 1.0),
     "frames_delay": Size("by_ms", 2.0, _log, 0.2, 5.0, _PERIODS),
-    "frames_reorder": Size("probability", 0.5, _even, 0.05, 1.0),
-    "frames_corrupt": Size("probability", 0.3, _even, 0.01, 1.0),
+    "frames_reorder": Size("probability", 0.5, Chance.uniform, 0.05, 1.0),
+    "frames_corrupt": Size("probability", 0.3, Chance.uniform, 0.01, 1.0),
     "frames_old": Size("back", None, _whole, 1, 20),
     "frames_forged_command": Size("force_N", 0.1, _signed, 0.01, 0.2, _RATED),
     "frames_forged_feedback": Size("by_m", 5e-3, _signed, 1e-3, 0.5),
@@ -134,7 +127,8 @@ def size_of(kind: str, r: Robot, leg: int, chance: Chance | None) -> dict[str, A
     elif kind == "payload_step":
         of_mass, x, y = 0.2, 0.2, 0.0
         if chance is not None:
-            of_mass, x, y = _log(chance, 0.02, 0.2), _even(chance, -0.2, 0.2), _even(chance, -0.2, 0.2)
+            of_mass = _log(chance, 0.02, 0.2)
+            x, y = chance.uniform(-0.2, 0.2, 2).tolist()
         found = {"mass_kg": of_mass * r.c.platform.platform.mass_kg, "position_m": (x, y, 0.2)}
     elif kind in SIZES:
         size = SIZES[kind]

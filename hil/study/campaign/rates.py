@@ -28,28 +28,21 @@ class Rate(NamedTuple):
     @property
     def cells(self) -> tuple[str, ...]:
         """Cells of a table line of this pass rate; `HEAD` has the column titles."""
-        percent = f"{100.0 * self.passed / self.rows:.1f}" if self.rows else "-"
+        percent = f"{100.0 * self.passed / self.rows:.1f}"
         interval = f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f}"
         return self.label, str(self.rows), str(self.rows - self.passed), percent, interval
 
 
-def wilson(passed: int, n: int) -> tuple[float, float]:
-    """95 % score interval of a share (Wilson 1927, J. Am. Stat. Assoc. 22, 209); (0, 1) if n is 0.
+def rate(label: str, rows: Sequence[Row]) -> Rate:
+    """Pass rate of at least one row, and its score interval (Wilson 1927, J. Am. Stat. Assoc. 22, 209).
 
     It assumes independent draws; points of a low-discrepancy sequence usually scatter less.
     """
     from scipy.stats import binomtest  # noqa: PLC0415 - most of a second
 
-    if not n:
-        return 0.0, 1.0
-    low, high = binomtest(passed, n).proportion_ci(0.95, "wilson")
-    return float(low), float(high)
-
-
-def rate(label: str, rows: Sequence[Row]) -> Rate:
-    """Pass rate, with its 95 % interval, of some rows of a campaign."""
     passed = sum(row["passed"] for row in rows)
-    return Rate(label, len(rows), passed, *wilson(passed, len(rows)))
+    low, high = binomtest(passed, len(rows)).proportion_ci(0.95, "wilson")
+    return Rate(label, len(rows), passed, float(low), float(high))
 
 
 def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:

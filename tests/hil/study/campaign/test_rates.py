@@ -1,9 +1,7 @@
 """Pass rates: intervals, values and quarters of an axis, the worst rows."""
 
-import pytest
-
 from hil.study.campaign.figures import METRICS
-from hil.study.campaign.rates import by_value, causes, why, wilson, worst
+from hil.study.campaign.rates import by_value, causes, why, worst
 from hil.study.campaign.settings import Limit, ListedAxis, SampledAxis
 
 LIMITS = {"faulted": Limit(max=0.0), "peak_force_N": Limit(max=100.0)}
@@ -15,21 +13,6 @@ def row(number, *, passed=True, ended="complete", ended_s=1.0, trouble="", **val
         "faults": "DRIVE" if ended == "fault" else "",
         **dict.fromkeys(METRICS), "faulted": 0, **values,
     }  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("passed", "n", "low", "high"),
-    [
-        # R. G. Newcombe, Two-sided confidence intervals for the single proportion, Statistics in Medicine 17
-        # (1998) 857: table I, method 3, the score method of Wilson without continuity correction
-        (81, 263, 0.2553, 0.3662),
-        (15, 148, 0.0624, 0.1605),
-        (0, 20, 0.0, 0.1611),
-    ],
-)
-def test_interval_of_a_pass_rate_agrees_with_published_wilson_intervals(passed, n, low, high):
-    assert wilson(passed, n) == pytest.approx((low, high), abs=5e-5)
-    assert wilson(0, 0) == (0.0, 1.0)
 
 
 def test_pass_rates_of_axis_options_are_listed_in_the_order_of_the_file():

@@ -112,9 +112,7 @@ def certificate(rows: Rows) -> dict[str, Any]:
         }
     late = int(np.count_nonzero((rows["mode"] == Mode.TRACKING) & ((rows["warnings"] & Warn.STALE) > 0)))
     if late:
-        result["without_its_premise"] = (
-            f"feedback was late in {late} ticks: no error bound holds there"
-        )
+        result["without_its_premise"] = f"feedback was late in {late} ticks: no error bound holds there"
     return result | {"alarms": int(np.count_nonzero(alarm[1:] & ~alarm[:-1]) + alarm[0])}
 
 

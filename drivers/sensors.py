@@ -111,15 +111,15 @@ class SensorProtocol:
                     self.sensors[each.slot] = each
         self.tables = _tables(self.sensors.values())
         """Messages of the configured sensors."""
-        first: dict[Any, int] = {}
-        for slot, each in self.sensors.items():  # legs of one device start it once
-            first.setdefault((each.role, each.device.start), slot)
+        started: dict[Any, list[int]] = {}
+        for slot, each in self.sensors.items():  # legs with the same frames are started by them once
+            started.setdefault((each.role, each.device.start), []).append(slot)
         starts = [
-            (slot, frame)
-            for slot in first.values()
-            for frame in self.sensors[slot].on_bus(self.sensors[slot].device.start)
+            (slots, frame)
+            for slots in started.values()
+            for frame in self.sensors[slots[0]].on_bus(self.sensors[slots[0]].device.start)
         ]
-        self._starts, self._started = sent_array(frame for _, frame in starts), [slot for slot, _ in starts]
+        self._starts, self._started = sent_array(frame for _, frame in starts), [slots for slots, _ in starts]
 
     @property
     def databases(self) -> tuple[tuple[str, str], ...]:
@@ -237,8 +237,8 @@ class SensorProtocol:
             return NO_FRAMES
         k = number // every % count
         of = heard.slots[self._started[k]]
-        silent_s = (number - int(of["last_tick"])) / rate_Hz - float(of["last_s"])
-        return self._starts[k : k + 1] if silent_s > PATIENCE_S else NO_FRAMES
+        silent_s = (number - of["last_tick"]) / rate_Hz - of["last_s"]
+        return self._starts[k : k + 1] if (silent_s > PATIENCE_S).any() else NO_FRAMES
 
 
 def _key(frame: Frame) -> tuple[int, ...]:

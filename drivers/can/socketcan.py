@@ -266,6 +266,7 @@ class SocketCan(Link):
         netlink.set_up(self._interface.number, up=True)
         self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
         self._bus_off = False
+        self._clock.forget()
         self._look_at_queue()
 
     def flush_tx(self) -> None:

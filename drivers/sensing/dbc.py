@@ -104,9 +104,10 @@ class DbcSensor(Timed):
         found = [(*found_signal(database, each, name), quantity, value) for each, quantity, value in used]
         parts: dict[tuple[Any, ...], _Part] = {}
         for message, signal, quantity, value in sorted(found, key=lambda each: not each[1].multiplexer_ids):
-            selects = selection(message, signal) or skipped.get(message.name, [])
+            selects = selection(message, signal)
             hosts = [] if selects else [part for key, part in parts.items() if key[0] == message.name]
-            hosts = hosts or [parts.setdefault((message.name, *selects), (message, [], [*selects]))]
+            skips = [s for s in skipped.get(message.name, []) if all(s.start != of.start for of in selects)]
+            hosts = hosts or [parts.setdefault((message.name, *selects), (message, [], [*selects, *skips]))]
             if quantity:
                 unit = UNITS[role][CHANNELS[role].index(quantity)]
                 hosts[0][1].append(self._field(own[quantity], quantity, signal, unit))

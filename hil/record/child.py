@@ -57,8 +57,9 @@ class RecorderEnd:
 
     def answer(self, timeout_s: float) -> dict[str, Any]:
         """Next answer of the recorder; {} if it has ended, an `error` entry after `timeout_s`."""
-        if not self._link.poll(timeout_s):
-            return {"error": f"the recorder did not answer within {timeout_s:g} s"}
+        with contextlib.suppress(OSError):  # the other end is closed
+            if not self._link.poll(timeout_s):
+                return {"error": f"the recorder did not answer within {timeout_s:g} s"}
         return receive(self._link) or {}
 
     def finish(self) -> None:

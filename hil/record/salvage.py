@@ -18,13 +18,15 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
 from drivers.errors import LogError
-from drivers.files import open_regular, whole_file
+from drivers.files import open_regular
 from hil.record.encode import channels_of
 from hil.record.environment import product_version
 from hil.record.mcap_file import MAGIC, McapFile, record_bytes
 from hil.record.mcap_read import NOTHING, Allowance, Record, messages_in, record_at, records
 from hil.record.row import OLD, REFUSED, Run, Table, why
 from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
+
+_EXISTS = "exists and is never overwritten: choose another name"
 
 _BEGIN = re.compile(
     rb"(?=\x06[\s\S]{36}(?:\x04\0\0\0zstd|\x03\0\0\0lz4)|\x0c[\s\S]{8}\x03\0\0\0" + IDENTITY.encode() + b")"
@@ -253,13 +255,14 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
             f"{source}: the description of its run is damaged: nothing to salvage: {why(error)}"
         ) from None
     if os.path.lexists(target):
-        raise LogError(f"{target}: exists and is never overwritten: choose another name")
+        raise LogError(f"{target}: {_EXISTS}")
     own = channels_of(Table(run.topic, run.columns), run.can_channels)
     known = {topic: number for number, (topic, *_) in own.items()}
     numbers = {n: n for n in own} | {n: known[topic] for n, topic in topics.items() if topic in known}
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with whole_file(target) as temporary:
-            temporary.unlink()
+        try:
+            temporary.unlink(missing_ok=True)
             file = McapFile(temporary, f"{LIBRARY}/{product_version()}")
             try:
                 file.add_metadata(IDENTITY, identity)
@@ -273,6 +276,23 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
                 work.close()
             finally:
                 file.close()
+            _give_name(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except FileExistsError:
+        raise LogError(f"{target}: {_EXISTS}") from None
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
     return work.report
+
+
+def _give_name(temporary: Path, target: Path) -> None:
+    """Rename a complete file to `target`. Raises FileExistsError if this name was taken meanwhile."""
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if os.path.lexists(target):
+            raise FileExistsError from None
+        temporary.rename(target)

@@ -49,7 +49,7 @@ class WiredPlant(Plant):
 
     def _begin(self) -> None:
         self._past: deque[tuple[Array, Array]] = deque(maxlen=int(self._w.late.max()) + 1)
-        self._at_start = np.full(LEGS, np.nan)
+        self._at_start, self._given = np.full(LEGS, np.nan), np.zeros(LEGS)
         self._followed, self._shut_s = np.full(LEGS, np.inf), np.full(LEGS, np.inf)
         self._lagged, self._slipped, self._slips = np.zeros(LEGS), np.zeros(LEGS), np.zeros(LEGS)
 
@@ -104,6 +104,7 @@ class WiredPlant(Plant):
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """Step as `Plant.step`; delays and lags advance with each internal step."""
+        self._given = force.copy()
         steps = whole_steps(dt_s, self.internal_step_s) if self._timed else 1
         for _ in range(steps):
             at_leg, held = self._connect(force, brake)
@@ -111,8 +112,9 @@ class WiredPlant(Plant):
         return found
 
     def truth(self) -> Truth | None:
-        """True pose, twist and forces of the plant behind the cables."""
-        return self._plant.truth()
+        """True pose and twist of the plant behind the cables; forces of the drives in front of them."""
+        truth = self._plant.truth()
+        return None if truth is None else truth._replace(applied_force=self._given)
 
     def close(self) -> None:
         """Free the resources of the plant behind the cables."""

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from drivers import build_protocol
+from drivers.can.hardware_stamps import HARDWARE_STAMPS
 from drivers.errors import ConfigurationError, HilError
 from drivers.sensing.dbc import refers
 from drivers.sensors import KINDS
@@ -62,6 +63,16 @@ def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
         if each.layout == "fd" and each.data_bitrate_bit_s < each.bitrate_bit_s:
             slow = f"slower than arbitration, bus.bitrate_bit_s, allowed: at least {each.bitrate_bit_s}"
             yield (*where, "data_bitrate_bit_s"), f"{slow}, given: {each.data_bitrate_bit_s}"
+
+
+def hardware_stamps(c: Sections, _: Folder) -> Iterator[Finding]:
+    """Refuse estimated times on a bus with legs: the loop decides by arrival whether feedback is in time."""
+    for n, (each, legs) in enumerate(zip(c.bus.buses, c.bus.legs, strict=True)):
+        if legs and each.options.get(HARDWARE_STAMPS):
+            own = bool(c.bus.channels) and c.bus.channels[n].options is not None
+            where: Path = ("bus", "channels", n) if own else ("bus",)
+            text = "not for drives, allowed: on a bus of sensors, an entry of bus.channels without legs"
+            yield (*where, "options", HARDWARE_STAMPS), text
 
 
 def _keyed(error: HilError, sections: str, key: Path) -> Finding:
@@ -253,6 +264,7 @@ def usable_feedforward(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 RULES: tuple[Callable[[Sections, Folder], Iterator[Finding]], ...] = (
-    bounds, exclusions, bit_rates, bus_load, node_numbers, geometry, reachable_poses, reference_path,
-    designed_controllers, certificate, whole_steps, fmu_file, faults, drives, data_sheet, usable_feedforward,
+    bounds, exclusions, bit_rates, hardware_stamps, bus_load, node_numbers, geometry, reachable_poses,
+    reference_path, designed_controllers, certificate, whole_steps, fmu_file, faults, drives, data_sheet,
+    usable_feedforward,
 )  # fmt: skip

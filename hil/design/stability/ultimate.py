@@ -227,8 +227,9 @@ def in_words(error: Array, axes: AxisSpace) -> str:
 def _too_much(size: float, extra: Extra) -> str:
     lossy = "a transmission with lower losses, " if extra.lost.any() else ""
     fresh = "limits.stale_warn_ticks 1, " if extra.aged is not None else ""
+    shown = f"{ceil(1e3 * size) / 1e3:g}" if size >= 1.0 else "almost 1"
     return (
         "no bound: the force errors of a wrong inertia and of delay exceed what the gains tolerate: small "
-        f"gain {ceil(1e3 * size) / 1e3:g}, allowed below 1; needed: {lossy}{fresh}a better model, lower "
+        f"gain {shown}, allowed below 1; needed: {lossy}{fresh}a better model, lower "
         "gains or less delay"
     )

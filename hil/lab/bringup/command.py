@@ -192,11 +192,13 @@ def _write_found(
     except ConfigurationError as error:
         return f"no configuration written: with the values found it is invalid: {error}"
     write_whole(file, text)
-    done = ", ".join(dict.fromkeys(finding.name for finding in corrected(c, context, findings))) or "nothing"
-    return (
-        f"next: hil bringup {file}{' --rehearse' if rehearsed else ''}, after the findings at the machine "
-        f"are fixed; that file already corrects: {done}; do not fix that at the machine as well"
-    )
+    done = dict.fromkeys(finding.name for finding in corrected(c, context, findings))
+    line = f"next: hil bringup {file}{' --rehearse' if rehearsed else ''}"
+    if any(finding.name not in done for finding in findings):
+        line += ", after the findings at the machine are fixed"
+    if done:
+        line += f"; that file already corrects {', '.join(done)}: do not fix that at the machine as well"
+    return line
 
 
 class _Journal:

@@ -18,6 +18,8 @@ from drivers.protocol import SERIAL, DriveSetup, Frame, Received, Said
 from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, copy_of, new_record
 
+_PROBES = 200
+
 
 class Heard(NamedTuple):
     """Frames received in one tick."""
@@ -245,6 +247,11 @@ class Drives:
         forces = np.zeros(LEGS)
         forces[leg] = force
         return float(self._live.carried(forces)[leg])
+
+    def force_step(self, leg: int, force: float) -> float:
+        """Resolution, N, of commands between `force`/2 and `force`; 0 if finer than 1/400 of `force`."""
+        carried = {self.carried(leg, force * (0.5 + 0.5 * k / _PROBES)) for k in range(_PROBES)}
+        return 0.5 * force / len(carried) if len(carried) < _PROBES else 0.0
 
     def off(self, seconds: float = 0.0) -> None:
         """Command all drives to zero force and no power for `seconds`, for at least SAFE_TICKS ticks."""

@@ -52,7 +52,8 @@ def found_text(
         done = corrected(c, context, findings)
         head.append("NOT RELEASED: fix the findings below, if any, and run `hil bringup` with this file.")
         head += [f"  {finding.line}" for finding in findings if finding not in done]
-        head.append("This file already corrects these findings, if any: do not fix them at the machine, too.")
+        if done:
+            head.append("This file already corrects these findings: do not fix them at the machine as well.")
         head += [f"  {finding._replace(remedy='').line.rstrip(' .')}" for finding in done]
     elif not released:
         head.append("NOT RELEASED: the step `together` has not passed. Repeat the command.")

@@ -32,6 +32,7 @@ ONE_PROBLEM = [
     ("watchdog_ms: 10 ", "watchdog_s: 10 ", "watchdog_s", "drives.watchdog_s: wrong unit: the key is watchdog_ms (in ms)"),
     ("channel: hil0", "chanel: hil0", "chanel", "bus.chanel: unknown key, did you mean channel?"),
     ("  following: sbc ", "  estop: sbc ", "estop: sbc", "reactions.estop: not a key: the reaction to estop, bus, second_controller is always sto"),
+    ("  channel: hil0", "  options: {hardware_stamps: true}\n  channel: hil0", "true}", "bus.options.hardware_stamps: not for drives, allowed: on a bus of sensors, an entry of bus.channels without legs"),
     ("loop:\n", "lop:\n", "lop:\n", "lop: unknown key, did you mean loop?"),
     ("  priority: 80 ", "  zzz: 80 ", "zzz", "loop.zzz: unknown key, allowed: rate_Hz, feedback_window_us"),
     ("    mass_kg: 1150", "    mass: 1150", "mass: 1150", "platform.platform.mass: missing unit: the key is mass_kg"),

@@ -82,7 +82,7 @@ def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
     aim = STEP_SHARE * c.known("opens", drive)["hand_N"] + START_STEPS * step_of(c, drive)
     aim = max(aim, LEAST_SHARE * c.machine.force_N)
     while True:
-        t, moved = _pushed(c, drive, [min(aim, c.machine.force_N)] * c.drives.ticks(ANSWER_S))
+        t, moved = _pushed(c, drive, [min(aim, c.machine.force_N)] * c.drives.ticks(ANSWER_S), leg)
         x = moved[leg]
         if (abs(x[-1]) > MOVED_M and t[-1] < BRISK_S) or aim >= c.machine.force_N:
             break
@@ -95,10 +95,13 @@ def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
     return max(0.0, float(np.polyfit(np.sqrt(way * x[moves]), t[moves], 1)[1]))
 
 
-def _pushed(c: Context, drive: int, forces: list[float]) -> tuple[Array, dict[int, Array]]:
+def _pushed(
+    c: Context, drive: int, forces: list[float], timed: int | None = None
+) -> tuple[Array, dict[int, Array]]:
     """Times, s, and travel less drift of each leg, m, under forces, N, a tick each, until a leg has moved.
 
-    The brake opens for these forces only: a leg that the code for zero moves rests before the next ones.
+    timed: the leg that has to move; None: any. The brake opens for these forces only: a leg that the code for
+    zero moves rests before the next ones.
     """
     t, moves = list[float](), list[dict[int, float]]()
     watched = c.drives.ticks(WATCH_S)
@@ -111,7 +114,7 @@ def _pushed(c: Context, drive: int, forces: list[float]) -> tuple[Array, dict[in
             guard(c, drive, origin)
             t.append(1e-9 * (int(c.drives.record["t_ns"]) - began_ns))
             moves.append({leg: x - n * drift[leg] / watched for leg, x in c.travelled(before).items()})
-            if max(map(abs, moves[-1].values())) > MOVED_M:
+            if max(abs(x) for leg, x in moves[-1].items() if timed in (None, leg)) > MOVED_M:
                 break
         _watch(c, drive, origin, c.drives.ticks(SETTLE_S))
     return np.array(t), {leg: np.array([each[leg] for each in moves]) for leg in drift}
@@ -124,7 +127,7 @@ def _watch(c: Context, drive: int, origin: Array, ticks: int) -> None:
 
 
 def step_of(c: Context, drive: int) -> float:
-    """Resolution of a drive's force command, N at the leg."""
+    """Largest rounding error of a drive's force command, N at the leg."""
     return float(c.drives.protocol.traits.resolution.force[drive])
 
 
@@ -164,7 +167,7 @@ def judge(c: Context) -> Iterator[Finding]:
             yield Finding("one_way", (drive,), text, remedy)
         elif plus and minus:
             late_s, allowed_s = fact["late_s"], LATE_S + 2.0 / c.drives.line.rate_Hz
-            if gap(c) is None and (late_s is None or late_s > allowed_s):
+            if drive not in _coarse(c) and (late_s is None or late_s > allowed_s):
                 after = "does not follow" if late_s is None else f"follows {1e3 * late_s:.0f} ms after"
                 text = f"its reading {after} a step of its force, allowed: {1e3 * allowed_s:.0f} ms: "
                 text += "either the reading is late (encoder_late) or the force (force_lags)"
@@ -190,11 +193,17 @@ def judge(c: Context) -> Iterator[Finding]:
 
 def gap(c: Context) -> Finding | None:
     """Finding that the delay is unproven, as the position has coarser steps than the travel that is timed."""
-    step_m = float(c.drives.protocol.traits.resolution.length.max())
-    if step_m <= MOVED_M:
+    if not (coarse := _coarse(c)):
         return None
-    text = f"their position has steps of {1e3 * step_m:.2g} mm, too coarse to time the response to a force"
+    error_mm = 1e3 * max(c.drives.protocol.traits.resolution.length[coarse])
+    text = f"the position of drives {', '.join(map(str, coarse))} is rounded by up to {error_mm:.2g} mm, too "
+    text += "coarse to time the response to a force"
     return gap_of(text, "Check the drive's filters of encoder and torque; a late reading costs damping")
+
+
+def _coarse(c: Context) -> list[int]:
+    """Drives whose position has coarser steps than the travel that is timed."""
+    return [k for k, step_m in enumerate(c.drives.protocol.traits.resolution.length) if step_m > MOVED_M]
 
 
 STEP = Step(

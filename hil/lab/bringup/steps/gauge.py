@@ -10,7 +10,7 @@ from drivers.arrays import Array
 from hil.lab.bringup.context import Context, Finding, Request, Step, StoppedError
 from hil.lab.bringup.steps.brakes import friction
 from hil.lab.bringup.steps.encoder import tolerance
-from hil.lab.bringup.steps.force import breakaway, guard, step_of
+from hil.lab.bringup.steps.force import breakaway, guard
 
 LEVELS = (0.4, 0.6, 0.8, 1.0)
 """Gauge levels as shares of the largest step force."""
@@ -88,7 +88,7 @@ def gains(c: Context) -> dict[int, Gain]:
         beyond = [pair for pair in fact["pairs_N"] if pair[0] > least]
         if len({commanded for commanded, _ in beyond}) >= 2:
             commanded, read = np.array(beyond).T
-            error = step_of(c, drive) / float(np.ptp(commanded))
+            error = c.drives.force_step(drive, c.machine.force_N) / float(np.ptp(commanded))
             found[drive] = Gain(float(np.polyfit(commanded, read, 1)[0]), error)
     return found
 

@@ -54,7 +54,7 @@ def test_bring_up_of_an_example_finds_mistakes_and_leaves_the_delay_unproven(
     summary = run_bringup(name, load(name), mistakes=mistakes, yes=True, say=lambda _: None, log=log)
     assert [each.partition(":")[0] for each in summary["findings"]] == found
     assert summary["success"] == (not found)
-    assert found or "position has steps of 0." in summary["not_provable"][1]
+    assert found or "is rounded by up to 0." in summary["not_provable"][1]
 
 
 def test_bus_budget_counts_the_messages_of_a_timer_that_a_tick_may_have():

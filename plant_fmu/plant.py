@@ -121,11 +121,12 @@ class PointedPlant(Plant):
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
         """Step as `Plant.step`, by calling the compiled function of `moved()`."""
-        n, moved, measured = whole_steps(dt_s, self.internal_step_s), self.moved(), np.empty(MEASURED)
-        inputs = np.array((force, brake, wrench))
-        status = _MOVE(moved.move)(
-            moved.context, *(each.ctypes.data for each in inputs), n, measured.ctypes.data
-        )
+        n, moved, values = whole_steps(dt_s, self.internal_step_s), self.moved(), np.empty(MEASURED + 18)
+        inputs = values[MEASURED:]
+        inputs[:6], inputs[6:12], inputs[12:] = force, brake, wrench
+        at = values.ctypes.data
+        forces = at + 8 * MEASURED
+        status = _MOVE(moved.move)(moved.context, forces, forces + 8 * 6, forces + 8 * 12, n, at)
         if status:
             raise moved.refused(status, force, brake, wrench, n)
-        return measured[:6], measured[6:12]
+        return values[:6], values[6:12]

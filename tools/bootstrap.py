@@ -20,6 +20,8 @@ STAMP = VENV / ".ready"
 LOCK = ROOT / "requirements.lock"
 COMPILER_LOCK = ROOT / "requirements-compiler.lock"
 VENV_PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+BASE: str = getattr(sys, "_base_executable", sys.executable)
+"""Interpreter outside of an activated environment, which may be the one that is made again."""
 
 
 class BootstrapError(Exception):
@@ -73,12 +75,12 @@ def pip() -> list[str]:
     """Command of a pip that installs into the environment: its own, else one outside (pip 22.3)."""
     if any(VENV.glob("*/pip*")):
         return [str(VENV_PYTHON), "-m", "pip"]
-    return [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON)]
+    return [BASE, "-m", "pip", "--python", str(VENV_PYTHON)]
 
 
 def make_environment() -> None:
     """Create an empty environment. Debian has `venv` without `ensurepip` unless python3-venv is installed."""
-    venv = [sys.executable, "-m", "venv", str(VENV)]
+    venv = [BASE, "-m", "venv", str(VENV)]
     try:
         run(venv, "python -m venv failed:")
     except BootstrapError:
@@ -94,7 +96,7 @@ def make(locks: list[Path], stamped: list[str], wanted: list[str]) -> None:
         STAMP.unlink()
     else:
         wanted = state(locks, [])
-        say(f"making .venv with Python {sys.version.split()[0]} ({sys.executable})")
+        say(f"making .venv with Python {sys.version.split()[0]} ({BASE})")
         if COMPILER_LOCK in locks:
             say("no C compiler here: the FMU will be built with the one in the ziglang wheel")
         if VENV.exists():

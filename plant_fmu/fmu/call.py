@@ -138,9 +138,8 @@ def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: in
     fmu.ticks += steps
     if ended == DONE:
         y, outputs = reals_at(measured, MEASURED), reals_at(fmu.outputs, fmu.output_count)
-        y[:LENGTHS_RATES], y[LENGTHS_RATES:] = outputs[:LENGTHS_RATES], np.nan
-        if fmu.known:
-            y[LENGTHS_RATES:] = outputs[APPLIED : APPLIED + LEGS]
         for leg in range(LEGS):
-            y[leg] += fmu.offset[leg]
+            y[leg] = outputs[leg] + fmu.offset[leg]
+            y[LEGS + leg] = outputs[LEGS + leg]
+            y[LENGTHS_RATES + leg] = outputs[APPLIED + leg] if fmu.known else np.nan
     return int(ended)

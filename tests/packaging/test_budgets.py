@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
     "drivers": (11_740, 88_950),
-    "plant_fmu": (10_670, 73_750),
+    "plant_fmu": (10_670, 73_800),
     "hil/loop hil/operate": (6_775, 52_275),
     "hil/safety hil/estimation": (3_440, 28_950),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_760, 43_275),

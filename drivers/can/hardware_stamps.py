@@ -55,7 +55,7 @@ class ControllerClock:
         self.forget()
 
     def forget(self) -> None:
-        """Compare anew, after the controller was started again."""
+        """Begin to compare the two clocks from the start, as after a restart of the controller."""
         self._last_ns, self._least_ns = 0, _NEVER_NS
 
     def taken_ns(self, arrival_ns: int, stamp_ns: int) -> int:

@@ -125,6 +125,9 @@ def test_two_values_of_one_multiplexer_make_one_sample_in_either_order(tmp_path)
         found = heard("inclination", settings, *frames)
         assert found.slots["last"][INCLINATION][:2] == pytest.approx([DEG, -DEG])
     assert heard("inclination", settings, roll, roll).slots["count"][INCLINATION] == 0
+    settings["device"]["skip"] = {"Fault": 9}
+    head = pitch._replace(data=b"\x01\x9c\xff\x09")
+    assert heard("inclination", settings, roll, head).slots["count"][INCLINATION] == 0, "a head is skipped"
     settings["device"]["valid"] = {"Fault": 0}
     faulty = pitch._replace(data=b"\x01\x9c\xff\x07")
     for frames, count in (((roll, pitch), 1), ((roll, faulty), 0), ((faulty, roll), 0)):
@@ -139,6 +142,11 @@ def test_frames_that_start_a_sensor_of_six_legs_are_sent_once_and_never_to_a_dri
     frames = [f for n in range(10) for f in sent_frames(protocol.set_up(n, 1000, unheard(protocol.tables)))]
     assert frames[:2] == [Frame(0x600, b"\1"), Frame(0x181, b"\2")]
     assert not protocol.starts(1)
+    heard_all = unheard(protocol.tables)
+    heard_all.slots["last_tick"], heard_all.slots["last_s"] = 1000, 0.0
+    assert not len(protocol.set_up(1000, 1000, heard_all))
+    heard_all.slots["last_tick"][LENGTH + 3] = 0
+    assert len(protocol.set_up(1000, 1000, heard_all)), "one silent leg is enough"
     with pytest.raises(ConfigurationError, match=r"identifier 0x181 is also that of a drive"):
         protocol.refuse_clashes(drives((1, 2, 3, 4, 5, 6)))
 

@@ -23,7 +23,7 @@ BUDGETS = {
     "hil/contracts": (1_720, 14_925),
     "tools": (2_325, 19_175),
     "configs": (205, 1_875),
-    "tests": (77_630, 688_375),
+    "tests": (77_650, 688_600),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

@@ -5,6 +5,7 @@ import pytest
 
 from drivers.arrays import Array
 from plant_fmu.bench import HAND_M, HAND_m_s
+from plant_fmu.plant import truth_of
 from plant_fmu.rehearsal.bench import TrestleLegs
 from plant_fmu.rehearsal.wired_plant import WiredPlant
 from plant_fmu.rehearsal.wiring import Wiring
@@ -35,6 +36,17 @@ def wired(wiring: Wiring) -> tuple[WiredPlant, Legs]:
     plant = WiredPlant(legs, wiring, MIDDLE)
     plant.reset()
     return plant, legs
+
+
+def test_drives_behind_wrong_cables_report_their_own_forces_and_not_those_of_the_legs():
+    plant, legs = wired(Wiring(motor=(1, 0, 2, 3, 4, 5)))
+    legs.truth = lambda: truth_of(np.zeros(24))  # type: ignore[method-assign]
+    force = 100.0 + SIX
+    plant.step(force, OPEN, CALM, 1e-3)
+    assert legs.force[:2].tolist() == [101.0, 100.0]
+    truth = plant.truth()
+    assert truth is not None
+    assert truth.applied_force.tolist() == force.tolist()
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -30,8 +30,8 @@ def live_run(c: Configuration, seconds: float, folder: Path) -> dict[str, Any]:
     leaves no summary.
     """
     made = Path(tempfile.mkdtemp(dir=folder))
-    told = made / "run.json"
-    words = f"--plant --arm --duration {seconds:g} --log {made}/run.mcap --json {told}".split()
+    summary_file = made / "run.json"
+    words = f"--plant --arm --duration {seconds:g} --log {made}/run.mcap --json {summary_file}".split()
     command = [sys.executable, "-m", "hil.cli", "run", c.source, *words]
     with tempfile.TemporaryFile() as errors:
         with suppress(subprocess.TimeoutExpired):
@@ -43,10 +43,10 @@ def live_run(c: Configuration, seconds: float, folder: Path) -> dict[str, Any]:
                 timeout=seconds + ENDS_S,
                 check=False,
             )
-        if not told.exists():
+        if not summary_file.exists():
             errors.seek(0)
             raise RunError(f"hil run: no summary: {errors.read().decode(errors='replace').strip()[-2000:]}")
-    return dict(json.loads(told.read_text()))
+    return dict(json.loads(summary_file.read_text()))
 
 
 def realtime(benchmark: Benchmark) -> list[Figure]:
